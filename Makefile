@@ -4,7 +4,6 @@ PYTHON ?= python3
 JOBS ?= 2
 CASES ?= 20000
 SEED ?= 0
-BENCH ?= $(if $(wildcard build/bench/reference.json),--against build/bench/reference.json)
 SOURCES := $(shell find toolkit plugins baselines -name '*.py' -o -name '*.pyi' -o -name '*.toml' -o -name '*.html' -o -name '*.css' -o -name '*.js') pyproject.toml README.md
 
 .PHONY: run test test-system fuzz bench dev lint docs clean
@@ -38,8 +37,7 @@ test-system: $(VENV)/.installed
 fuzz: $(VENV)/.installed
 	$(VENV)/bin/python -m tests.fuzz --cases $(CASES) --seed $(SEED) --jobs $(JOBS)
 
-# What each step costs, beside the reference of this machine where there is one (docs/performance.md):
-# make bench BENCH="--keep build/bench/reference.json"; make bench BENCH="--against-commit REV"
+# What each step costs, also of another commit in turns (docs/performance.md): make bench BENCH="--against-commit REV"
 bench: $(VENV)/.locked
 	$(VENV)/bin/python benchmarks/bench.py $(BENCH)
 

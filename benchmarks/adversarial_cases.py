@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -36,8 +36,6 @@ class Source:
     moves: bool = True
     after: bool = False
     together: bool = True
-    extractor: str = "p2ornet/rings"
-    options: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
 
 
 def _drive(name: str, words: str, **rest: object) -> Source:
@@ -178,21 +176,12 @@ CHANGES: Mapping[str, Mapping[str, Change]] = {
 """Changes by kind and variant that every source allows; `changes_of` gives all of a source."""
 
 
-KINDS = tuple(
-    dict.fromkeys(
-        [source.kind for source in SOURCES]
-        + [*CHANGES, "other moment", "other camera", "unsynchronised", "duplicated frames"]
-    )
-)
-"""All kinds of inputs."""
-
-
 def changes_of(source: Source, following: Mapping[str, Frame]) -> dict[str, dict[str, Change]]:
     """Return the changes for a source by kind and variant; `following` are the frames after those taken, by name."""
-    changes = {source.kind: {"": lambda frames, n: frames[n]}}
+    same: dict[str, Change] = {"": lambda frames, n: frames[n]}
     if source.kind != "unchanged":
-        return changes
-    changes |= {kind: dict(variants) for kind, variants in CHANGES.items()}
+        return {source.kind: same}
+    changes = {source.kind: same, **{kind: dict(variants) for kind, variants in CHANGES.items()}}
     if source.moves:
         changes["other moment"] = {"": _sweep_of}
     if source.name == "nuscenes":
@@ -201,4 +190,5 @@ def changes_of(source: Source, following: Mapping[str, Frame]) -> dict[str, dict
         changes["unsynchronised"] = {
             "next image": lambda frames, n: replace(frames[n], image=following[frames[n].name].image)
         }
+    changes["duplicated frames"] = same
     return changes

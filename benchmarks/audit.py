@@ -1,15 +1,15 @@
 """Does `p2o check` report the extrinsics that are wrong, and no others? Published ones and simulated ones.
 
-    python benchmarks/audit.py collect --out DIR               # resumable
+    python benchmarks/audit.py collect --out DIR               # continues where it was stopped
     python benchmarks/audit.py table --rows DIR                # false alarms, detected errors, detection limits
     python benchmarks/audit.py published --rows DIR            # what it reports about the reference of each rig
     python benchmarks/audit.py watch --out DIR                 # drives with slips: frames until one is detected
 
-`collect` goes on where it was stopped. It takes groups of 20, 5 and 1 frames of each rig (`RIGS`; all frames of a rig
-with fewer), and gives each group its reference, and extrinsics with an error on one axis: 0.2 to 2 deg or 2 to 30 cm,
-with a random sign. Features are extracted once, only the extrinsic changes. A JSON line for each case is added to
-DIR/rows.jsonl; it contains the evidence, and the tables apply the rules of `p2o.confidence.audit` as they are now.
-`watch` adds slips to the steps of single frames of a simulated drive, at many places and on every axis.
+`collect` takes groups of 20, 5 and 1 frames of each rig (`RIGS`; all frames of a rig with fewer), and checks each group
+at its reference, and at extrinsics with an error on one axis: 0.2 to 2 deg or 2 to 30 cm, with a random sign. Features
+are extracted once, only the extrinsic changes. A JSON line for each case is added to DIR/rows.jsonl; it contains the
+evidence, and the tables apply the current rules of `p2o.confidence.audit`. `watch` adds slips to the steps of single
+frames of a simulated drive, at many places and on every axis.
 """
 
 from __future__ import annotations
@@ -19,66 +19,58 @@ import json
 import re
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from common import add_row, read_rows, table
 from p2o.arrays import Float
 from p2o.calibration.options import PipelineOptions
 from p2o.confidence.audit import AXES, EdgeStep, Evidence, Rates, audit, edge_step
 from p2o.confidence.explanation import corrected
 from p2o.confidence.watch import CLIP, Rule, autocorrelation, watched
-from p2o.host.registry import Registry
 from p2o.results.check import AxisCheck, Check, CheckStatus
 from p2o.results.evidence import Agreement
 from p2o.run.pipeline import Pipeline
-from p2o.run.recipe import Recipe
-from verdict_rigs import RIGS as VERDICT_RIGS
-from verdict_rigs import Rig, Seen, seen
+from rigs import Rig, Sample, rig_of
 
 ANGLES_DEG, SHIFTS_M = (0.2, 0.5, 1.0, 2.0), (0.02, 0.05, 0.1, 0.3)
 GROUPS = {20: (0, 1, 1, 2, 3), 5: (1, 2), 1: (2, 3)}
 """Number of frames in a group, and which of these errors are put on each of its axes; 0.5 deg and 5 cm twice."""
-TARGET = 1
-CORRECT, _CORRECT_IN_TURN = 12, 3
+CORRECT = 12
 """Cases at the reference for each rig and number of frames."""
 DRIVE = Rig(
     "drive",
     "synthetic:?right=false&scenes=1&frames_per_scene=120&seed=77&lidar=hdl-64e&width_px=800&height_px=300",
 )
-_SCENES = "synthetic:?right=false&scenes=24&frames_per_scene=1"
-
-
-def _rig(name: str, frames: str | None = None, new_name: str | None = None) -> Rig:
-    rig = next(rig for rig in VERDICT_RIGS if rig.name == name)
-    return replace(rig, name=new_name or name, frames=frames or rig.frames)
-
-
 DRIVE_0005 = "kitti-raw:build/data/kitti_raw"
+
+
+def _scenes(name: str, words: str) -> Rig:
+    return Rig(name, f"synthetic:?right=false&scenes=24&frames_per_scene=1&{words}")
+
+
+def _ddad(camera: int, name: str) -> Rig:
+    return replace(rig_of("ddad"), name=name, frames=f"@{{splits}}#ddad-dev-CAMERA_0{camera}")
+
+
 RIGS: Mapping[str, Rig] = {
     rig.name: rig
     for rig in (
         Rig("drive-0005", DRIVE_0005, "@{splits}#drive_0005_later"),
-        _rig("kitti-odometry"),
-        _rig("kitti-raw", new_name="kitti-train"),
-        Rig("sim-hdl64", f"{_SCENES}&seed=203&lidar=hdl-64e&width_px=800&height_px=300"),
-        Rig("sim-os1-64", f"{_SCENES}&seed=201&lidar=os1-64&width_px=690&height_px=480&camera=opencv-distorted"),
-        Rig("sim-hdl32", f"{_SCENES}&seed=202&lidar=hdl-32e&width_px=1000&height_px=560"),
-        Rig("sim-vlp16", f"{_SCENES}&seed=204&lidar=vlp-16&width_px=1000&height_px=560"),
+        rig_of("kitti-odometry"),
+        replace(rig_of("kitti-raw"), name="kitti-train"),
+        _scenes("sim-hdl64", "seed=203&lidar=hdl-64e&width_px=800&height_px=300"),
+        _scenes("sim-os1-64", "seed=201&lidar=os1-64&width_px=690&height_px=480&camera=opencv-distorted"),
+        _scenes("sim-hdl32", "seed=202&lidar=hdl-32e&width_px=1000&height_px=560"),
+        _scenes("sim-vlp16", "seed=204&lidar=vlp-16&width_px=1000&height_px=560"),
         Rig("drive-0005-16", f"{DRIVE_0005}?keep_rings=4", "@{splits}#drive_0005_later_even"),
-        _rig("waymo"),
-        _rig("nuscenes"),
-        _rig("hitsz"),
-        _rig("hitsz_sim"),
-        _rig("boards_sim"),
-        _rig("acfr_vlp16"),
-        _rig("pjlab"),
-        *(
-            _rig("ddad", f"@{{splits}}#ddad-dev-CAMERA_0{number}", f"ddad-{where}")
-            for number, where in ((1, "front"), (5, "left"), (6, "right"))
-        ),
+        *map(rig_of, ("waymo", "nuscenes", "hitsz", "hitsz_sim", "boards_sim", "acfr_vlp16", "pjlab")),
+        _ddad(1, "ddad-front"),
+        _ddad(5, "ddad-left"),
+        _ddad(6, "ddad-right"),
     )
 }
 MOST_FRAMES = {"kitti-train": 24}
@@ -87,27 +79,25 @@ IN_QUESTION = ("acfr_vlp16", "pjlab", "ddad-front", "ddad-left", "ddad-right", "
 
 
 def main() -> None:
+    """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="command", required=True)
     collecting = commands.add_parser("collect", help="check known extrinsics")
     collecting.add_argument("--out", type=Path, required=True, help="folder of rows.jsonl, and of features")
-    collecting.add_argument("--rigs", nargs="+", choices=RIGS, default=list(RIGS))
-    collecting.add_argument("--first", type=int, help="only the first N cases of each rig")
-    collecting.add_argument("--splits", default="benchmarks/splits.json", help="names the frames of the lists")
-    for name, what in (("table", "false alarms, detected errors, limits"), ("published", "references of the rigs")):
-        reporting = commands.add_parser(name, help=what)
+    for name, content in (("table", "false alarms, detected errors, limits"), ("published", "references of the rigs")):
+        reporting = commands.add_parser(name, help=content)
         reporting.add_argument("--rows", type=Path, required=True, help="folder of rows.jsonl")
     watching = commands.add_parser("watch", help="frames until a slip is detected")
     watching.add_argument("--out", type=Path, required=True, help="folder of steps.jsonl, and of features")
-    arguments = parser.parse_args()
-    if arguments.command == "collect":
-        collect(arguments.out, arguments.rigs, arguments.splits, arguments.first)
-    elif arguments.command == "watch":
-        print(watch(arguments.out))
+    options = parser.parse_args()
+    if options.command == "collect":
+        for rig in RIGS.values():
+            collect(rig, options.out)
+    elif options.command == "watch":
+        print(watch(options.out))
     else:
-        lines = (arguments.rows / "rows.jsonl").read_text().splitlines()
-        rows = [json.loads(line) for line in lines]
-        print(table(rows) if arguments.command == "table" else published(rows))
+        report = tables if options.command == "table" else published
+        print(report(read_rows(options.rows / "rows.jsonl")))
 
 
 @dataclass(frozen=True)
@@ -132,12 +122,11 @@ class Case:
 def cases_of(rig: Rig, names: Sequence[str]) -> list[Case]:
     """Return the cases of a rig: all frames at the reference, then groups at it and at wrong extrinsics.
 
-    Frames that are never solved together are single groups; a rig with fewer frames than a group has one of all. Large
-    groups come first, and of these the errors that are to be found on them.
+    Frames that are never solved together are single groups; a rig with fewer frames than a group has one of all.
     """
     rng = np.random.default_rng(sum(map(ord, rig.name)))
     together = rig.groups(names) or [[at] for at in range(len(names))]
-    out = [(0, 0, Case(rig.name, tuple(group))) for group in together]
+    cases = [Case(rig.name, tuple(group)) for group in together]
     most = max(map(len, together))
     for size, errors in GROUPS.items():
         if size == max(GROUPS) and (most < size or rig.name in IN_QUESTION):
@@ -149,33 +138,26 @@ def cases_of(rig: Rig, names: Sequence[str]) -> list[Case]:
             pool = pools[int(rng.integers(len(pools)))]
             return tuple(sorted(int(at) for at in rng.choice(pool, count, replace=False)))
 
-        out += [(-size, at // _CORRECT_IN_TURN, Case(rig.name, drawn())) for at in range(CORRECT)]
+        cases += [Case(rig.name, drawn()) for _ in range(CORRECT)]
         for axis, (_, unit) in enumerate(AXES):
             sizes = ANGLES_DEG if unit == "deg" else SHIFTS_M
-            for turn, number in enumerate(errors):
-                case = Case(rig.name, drawn(), axis, sizes[number] * (1 if rng.random() < 0.5 else -1))
-                out.append((-size, 0 if number == TARGET else turn, case))
-    out[len(together) :] = sorted(out[len(together) :], key=lambda each: each[:2])
-    return list(dict.fromkeys(case for _, _, case in out))
+            for number in errors:
+                cases.append(Case(rig.name, drawn(), axis, sizes[number] * (1 if rng.random() < 0.5 else -1)))
+    return list(dict.fromkeys(cases))
 
 
-def collect(out: Path, rigs: Sequence[str], splits: str, first: int | None) -> None:
-    """Check the cases that have no row yet."""
-    out.mkdir(parents=True, exist_ok=True)
+def collect(rig: Rig, out: Path) -> None:
+    """Check the cases of a rig that have no row yet."""
     file = out / "rows.jsonl"
-    done = {json.loads(line)["key"] for line in file.read_text().splitlines()} if file.exists() else set()
-    for rig in (RIGS[name] for name in rigs):
-        frames = list(seen(rig, out / "features", splits, MOST_FRAMES.get(rig.name)))
-        pipeline = rig.plan.calibrator()
-        assert isinstance(pipeline, Pipeline)
-        for case in cases_of(rig, [frame.view.name for frame in frames])[:first]:
-            if case.key not in done:
-                row = row_of(case, [frames[at] for at in case.frames], pipeline)
-                with file.open("a") as stream:
-                    stream.write(json.dumps(row) + "\n")
+    done = {row["key"] for row in read_rows(file)}
+    frames, pipeline = rig.samples(out / "features", MOST_FRAMES.get(rig.name)), rig.plan.calibrator()
+    assert isinstance(pipeline, Pipeline)
+    for case in cases_of(rig, [frame.view.name for frame in frames]):
+        if case.key not in done:
+            add_row(file, row_of(case, [frames[at] for at in case.frames], pipeline))
 
 
-def row_of(case: Case, frames: Sequence[Seen], pipeline: Pipeline) -> dict[str, Any]:
+def row_of(case: Case, frames: Sequence[Sample], pipeline: Pipeline) -> dict[str, Any]:
     """Return the evidence of a case, for the tables to judge."""
     begin = time.process_time()
     evidence = Evidence.of([frame.view for frame in frames], case.extrinsic(frames[0].truth), pipeline)
@@ -194,25 +176,21 @@ def row_of(case: Case, frames: Sequence[Seen], pipeline: Pipeline) -> dict[str, 
 
 
 def plain(step: EdgeStep) -> dict[str, Any]:
-    """Return a step as JSON takes it."""
-    met = step.agreement
-    return {
-        "pose": step.pose.tolist(),
-        "error": step.error.tolist(),
-        "covariance": step.covariance.tolist(),
-        "agreement": [met.near, met.chance, met.points, met.places],
-        "places": step.places,
-    }
+    """Return a step as JSON."""
+    agreement = step.agreement
+    arrays = {name: getattr(step, name).tolist() for name in ("pose", "error", "covariance")}
+    counts = [agreement.near, agreement.chance, agreement.points, agreement.places]
+    return {**arrays, "agreement": counts, "places": step.places}
 
 
 def step_of(value: Any) -> EdgeStep:
-    """Return the step of what `plain` gave."""
+    """Return the step that `plain` wrote."""
     pose, error, covariance = (np.array(value[name]) for name in ("pose", "error", "covariance"))
     return EdgeStep(pose, error, covariance, Agreement(*value["agreement"]), value["places"])
 
 
 def judged(row: Mapping[str, Any]) -> Check:
-    """Return the check of a row by the rules as they are now."""
+    """Return the check of a row by the current rules."""
     near = row["near"] if isinstance(row["near"], str) else step_of(row["near"])
     far = None if row["far"] is None else step_of(row["far"])
     evidence = Evidence(tuple(row["names"]), np.array(row["given"]), near, far, row["lead"])
@@ -255,87 +233,68 @@ class Judged:
         """Which axes a report names: only the right one, it among others (or alternatives), others alone, or none."""
         named = re.findall(r"\b(roll|pitch|yaw|x|y|z) [+-]", self.check.reason.partition(";")[0])
         right = "" if self.axis is None else AXES[self.axis][0]
-        return "only" if named == [right] else "among" if right in named else "other" if named else "none"
+        return NAMED[0] if named == [right] else NAMED[1] if right in named else NAMED[2] if named else NAMED[3]
 
 
+NAMED = ("only", "among", "other", "none")
 COLUMNS = ("20", "3 to 12", "1")
+AXIS_NAMES = tuple(name for name, _ in AXES)
+Table = Iterator[Sequence[object]]
+"""The head of a table, then its rows."""
 
 
-def table(rows: Sequence[Mapping[str, Any]]) -> str:
+def tables(rows: Sequence[Mapping[str, Any]]) -> str:
     """Return the tables of all cases: by rig, by error, and the detection limits."""
     cases = [Judged.of(row) for row in rows]
     trusted = [case for case in cases if case.rig not in IN_QUESTION]
-    parts = (_by_rig(cases), _target(trusted), _by_error(trusted), _limits(cases))
-    return "\n\n".join("\n".join(part) for part in parts)
+    parts = (_by_rig(cases, trusted), _by_error(trusted), _limits(cases))
+    return "\n\n".join(table(next(part), part) for part in parts)
 
 
-def _by_rig(cases: Sequence[Judged]) -> Iterator[str]:
-    """Give a row for each rig and number of frames: references and wrong extrinsics."""
-    yield "| rig | frames | references | `off` | `cannot tell` | wrong | `off` | above the limit | of these `off` |"
-    yield "|---" * 9 + "|"
-    trusted = [case for case in cases if case.rig not in IN_QUESTION]
-    groups = [(rig, [case for case in cases if case.rig == rig]) for rig in RIGS]
-    for rig, its in [*groups, ("all but references in question", trusted)]:
+def _by_rig(cases: Sequence[Judged], trusted: Sequence[Judged]) -> Table:
+    """Yield a row for each rig and number of frames: references and wrong extrinsics."""
+    yield "rig", "frames", "references", "`off`", "`cannot tell`", "wrong", "`off`", "above the limit", "of these `off`"
+    groups = {f"{rig} (in question)" if rig in IN_QUESTION else rig: _where(cases, rig=rig) for rig in RIGS}
+    for rig, group in [*groups.items(), ("all but references in question", trusted)]:
         for frames in COLUMNS:
-            some = [case for case in its if case.frames == frames]
-            right = [case for case in some if case.axis is None]
-            wrong = [case for case in some if case.axis is not None]
-            above = [case for case in wrong if case.above_limit]
-            unclear = sum(case.check.holding is CheckStatus.CANNOT_TELL for case in right)
-            figures = (len(right), _off(right), unclear, len(wrong), _off(wrong), len(above), _off(above))
-            if some:
-                yield f"| {rig}{' (in question)' if rig in IN_QUESTION else ''} | {frames} | {_cells(figures)} |"
+            if own := _where(group, frames=frames):
+                right = [case for case in own if case.axis is None]
+                wrong = [case for case in own if case.axis is not None]
+                above = [case for case in wrong if case.above_limit]
+                unclear = sum(case.check.holding is CheckStatus.CANNOT_TELL for case in right)
+                yield rig, frames, len(right), _off(right), unclear, len(wrong), _off(wrong), len(above), _off(above)
 
 
-def _target(cases: Sequence[Judged]) -> Iterator[str]:
-    """Give the detected errors of 0.5 deg and 5 cm on 20 frames, by rig and axis."""
-    size_deg, size_m = ANGLES_DEG[TARGET], SHIFTS_M[TARGET]
-    yield f"| 20 frames, {size_deg:g} deg or {100 * size_m:g} cm | {_axes()} | all |"
-    yield "|---" * (len(AXES) + 2) + "|"
-    its = [case for case in cases if case.frames == COLUMNS[0] and case.size in (size_deg, size_m)]
-    for rig in [*dict.fromkeys(case.rig for case in its), "all"]:
-        some = [case for case in its if rig in (case.rig, "all")]
-        by_axis = [[case for case in some if case.axis == axis] for axis in range(len(AXES))]
-        yield f"| {rig} | {_cells(map(_share, [*by_axis, some]))} |"
-
-
-def _by_error(cases: Sequence[Judged]) -> Iterator[str]:
-    """Give the detected errors by size, axis and number of frames, and whether the report names the axis."""
-    yield f"| error | frames | {_axes()} | all | only the right axis named | among others | others | none |"
-    yield "|---" * (len(AXES) + 7) + "|"
+def _by_error(cases: Sequence[Judged]) -> Table:
+    """Yield the detected errors by size, axis and number of frames, and whether the report names the axis."""
+    yield "error", "frames", *AXIS_NAMES, "all", "only the right axis named", "among others", "others", "none"
     for sizes, unit, scale in ((ANGLES_DEG, "deg", 1), (SHIFTS_M, "cm", 100)):
         for size in sizes:
             for frames in COLUMNS:
-                its = [case for case in cases if case.size == size and case.frames == frames]
-                its = [case for case in its if case.axis is not None and (case.axis < 3) is (unit == "deg")]
-                if not its:
-                    continue
-                by_axis = [[case for case in its if case.axis == axis] for axis in range(len(AXES))]
-                names = Counter(case.named for case in its if case.is_off)
-                shares = _cells(_share(some) if some else "" for some in [*by_axis, its])
-                words = _cells(names[word] for word in ("only", "among", "other", "none"))
-                yield f"| {scale * size:g} {unit} | {frames} | {shares} | {words} |"
+                own = [case for case in _where(cases, size=size, frames=frames) if case.axis is not None]
+                own = [case for case in own if (case.axis < 3) is (unit == "deg")]
+                by_axis = [_where(own, axis=axis) for axis in range(len(AXES))]
+                names = Counter(case.named for case in own if case.is_off)
+                shares = [_share(group) if group else "" for group in [*by_axis, own]]
+                if own:
+                    yield f"{scale * size:g} {unit}", frames, *shares, *(names[w] for w in NAMED)
 
 
-def _limits(cases: Sequence[Judged]) -> Iterator[str]:
-    """Give the median detection limit of each axis, by rig and number of frames."""
-    yield f"| detected from (median, deg and cm) | frames | {_axes()} |"
-    yield "|---" * (len(AXES) + 2) + "|"
+def _limits(cases: Sequence[Judged]) -> Table:
+    """Yield the median detection limit of each axis, by rig and number of frames."""
+    yield "detected from (median, deg and cm)", "frames", *AXIS_NAMES
     for rig in RIGS:
         for frames in COLUMNS:
-            its = [case.check.axes for case in cases if case.rig == rig and case.frames == frames]
-            limits = np.array([[axis.limit for axis in axes] for axes in its if axes[0].limit is not None], float)
+            checks = [case.check.axes for case in _where(cases, rig=rig, frames=frames)]
+            limits = np.array([[axis.limit for axis in axes] for axes in checks if axes[0].limit is not None], float)
             if len(limits):
                 values = np.median(limits, axis=0) * [1, 1, 1, 100, 100, 100]
-                yield f"| {rig} | {frames} | {_cells(f'{value:.2g}' for value in values)} |"
+                yield rig, frames, *(f"{value:.2g}" for value in values)
 
 
-def _axes() -> str:
-    return " | ".join(name for name, _ in AXES)
-
-
-def _cells(values: Iterable[object]) -> str:
-    return " | ".join(map(str, values))
+def _where(cases: Sequence[Judged], **values: object) -> list[Judged]:
+    """Return the cases with these values of their fields."""
+    return [case for case in cases if all(getattr(case, name) == value for name, value in values.items())]
 
 
 def _off(cases: Sequence[Judged]) -> int:
@@ -348,17 +307,16 @@ def _share(cases: Sequence[Judged]) -> str:
 
 def published(rows: Sequence[Mapping[str, Any]]) -> str:
     """Return what the check reports about the reference of each rig, with all frames that may be solved together."""
-    lines = [f"| rig | frames | reference | {_axes()} | explanation |", "|---" * (len(AXES) + 4) + "|"]
+    lines: list[tuple[object, ...]] = []
     for rig in RIGS:
-        its = [row for row in rows if row["rig"] == rig and row["axis"] is None]
-        most = max((len(row["names"]) for row in its), default=0)
-        for row in its:
-            if len(row["names"]) == most and (most == 1 or row is its[0]):
+        references = [row for row in rows if row["rig"] == rig and row["axis"] is None]
+        most = max((len(row["names"]) for row in references), default=0)
+        for row in references:
+            if len(row["names"]) == most and (most == 1 or row is references[0]):
                 check = judged(row)
-                name = f"{most}" if most > 1 else row["names"][0]
-                errors = [_bounded(axis) for axis in check.axes]
-                lines.append(f"| {rig} | {name} | {check.holding.value} | {_cells(errors)} | {check.reason} |")
-    return "\n".join(lines)
+                frames = f"{most}" if most > 1 else row["names"][0]
+                lines.append((rig, frames, check.holding.value, *map(_bounded, check.axes), check.reason))
+    return table(("rig", "frames", "reference", *AXIS_NAMES, "explanation"), lines)
 
 
 _Z_95 = 1.96
@@ -368,91 +326,65 @@ def _bounded(axis: AxisCheck) -> str:
     """Return the error of a reference with its 95 % bound, in deg or cm."""
     if axis.off is None or axis.sigma is None:
         return ""
-    scale = 1 if axis.unit == "deg" else 100
-    return f"{scale * axis.off:+.{2 if scale == 1 else 1}f} +- {_Z_95 * scale * axis.sigma:.{2 if scale == 1 else 1}f}"
-
-
-def _pipeline() -> Pipeline:
-    pipeline = Recipe.of(data=None).resolve(Registry.load()).calibrator()
-    assert isinstance(pipeline, Pipeline)
-    return pipeline
+    scale, digits = (1, 2) if axis.unit == "deg" else (100, 1)
+    return f"{scale * axis.off:+.{digits}f} +- {_Z_95 * scale * axis.sigma:.{digits}f}"
 
 
 def steps_of_drive(out: Path) -> list[EdgeStep | None]:
-    """Return the steps of the single frames of the drive at its true extrinsic; kept in a file."""
-    out.mkdir(parents=True, exist_ok=True)
+    """Return the steps of the single frames of the drive at its true extrinsic; they are stored in a file."""
     file = out / "steps.jsonl"
     if not file.exists():
-        pipeline = _pipeline()
-        found = []
-        for frame in seen(DRIVE, out / "features", ""):
+        pipeline = DRIVE.plan.calibrator()
+        assert isinstance(pipeline, Pipeline)
+        for frame in DRIVE.samples(out / "features"):
             step = edge_step([frame.view], frame.truth, pipeline.matcher, pipeline.options)
-            found.append(None if isinstance(step, str) else plain(step))
-        file.write_text("".join(json.dumps(step) + "\n" for step in found))
-    values = [json.loads(line) for line in file.read_text().splitlines()]
-    return [None if value is None else step_of(value) for value in values]
+            add_row(file, None if isinstance(step, str) else plain(step))
+    return [None if value is None else step_of(value) for value in read_rows(file)]
 
 
 def watch(out: Path) -> str:
-    """Return how many frames pass until slips are noticed, and false alarms of noise."""
+    """Return the number of frames until slips are detected, and the false alarms without a slip."""
     steps, rule = steps_of_drive(out), Rule()
     values = np.array([np.full(6, np.nan) if s is None else np.clip(s.error / s.sigma, -CLIP, CLIP) for s in steps])
-    back = [*steps, *reversed(steps)]
-    lines = [
+    correlation, spread = autocorrelation(values), np.nanstd(values, axis=0).round(2).tolist()
+    text = (
         f"{len(steps)} frames, {sum(s is None for s in steps)} without a step; correlation with the next "
-        f"{autocorrelation(values):.2f}; root mean square about the mean "
-        f"{np.nanstd(values, axis=0).round(2).tolist()}",
-        f"false alarms without a slip: {len(watched(_numbers(steps), steps, rule).slips)}",
-        false_alarms(autocorrelation(values), 5),
-        "",
-        "| slip | drive | noticed | right axis | frames until then (median, most) |",
-        "|---|---|---|---|---|",
-    ]
+        f"{correlation:.2f}; root mean square about the mean {spread}\n"
+        f"false alarms without a slip: {len(_slips(steps, rule))}\n\n"
+    )
+    back = [*steps, *reversed(steps)]
     drives = (("once", steps, range(30, 61, 10)), ("forth and back, twice", back + back, range(180, 301, 40)))
-    for size, axes in ((0.3, range(3)), (0.6, range(3)), (0.03, range(3, 6)), (0.06, range(3, 6))):
-        for name, its, begins in drives:
-            unit = "deg" if axes[0] < 3 else "m"
-            lines.append(f"| {size:g} {unit} | {name} | " + " | ".join(_noticed(its, begins, axes, size, rule)) + " |")
-    return "\n".join(lines)
+    slips = ((0.3, range(3)), (0.6, range(3)), (0.03, range(3, 6)), (0.06, range(3, 6)))
+    lines = [
+        (f"{size:g} {'deg' if axes[0] < 3 else 'm'}", name, *_detected(drive, begins, axes, size, rule))
+        for size, axes in slips
+        for name, drive, begins in drives
+    ]
+    return text + table(("slip", "drive", "noticed", "right axis", "frames until then (median, most)"), lines)
 
 
-def _noticed(
+def _slips(steps: Sequence[EdgeStep | None], rule: Rule) -> Sequence[Any]:
+    return watched([str(at) for at in range(len(steps))], steps, rule).slips
+
+
+def _detected(
     steps: Sequence[EdgeStep | None], begins: Sequence[int], axes: Sequence[int], size: float, rule: Rule
-) -> list[str]:
+) -> tuple[str, int, str]:
     """Return the columns for slips of a size on each axis, to both sides, beginning at each of these frames."""
-    delays, right, tried = [], 0, 0
+    delays, right, count = [], 0, 0
     for axis in axes:
         for sign in (1, -1):
             for begin in begins:
-                tried += 1
-                slipped_ = [_slipped(step, at, begin, axis, sign * size) for at, step in enumerate(steps)]
-                slips = [slip for slip in watched(_numbers(steps), slipped_, rule).slips if slip.noticed >= begin]
-                if slips:
+                count += 1
+                slipped = [_slipped(step, at, begin, axis, sign * size) for at, step in enumerate(steps)]
+                if slips := [slip for slip in _slips(slipped, rule) if slip.noticed >= begin]:
                     delays.append(slips[0].noticed - begin)
                     right += slips[0].axis == AXES[axis][0]
-    return [f"{len(delays)} of {tried}", str(right), f"{np.median(delays):.0f}, {max(delays)}" if delays else ""]
-
-
-def _numbers(steps: Sequence[object]) -> list[str]:
-    return [str(at) for at in range(len(steps))]
-
-
-def false_alarms(correlation: float, hours: int) -> str:
-    """Return how many alarms drives of an hour raise whose steps are noise that goes on with this correlation."""
-    # More often than anybody would have them, so that a few hours count some.
-    rng, rule = np.random.default_rng(0), Rule(alarms_per_hour=6.0)
-    raised, met, frames = 0, Agreement(0.5, 0.1, 1000, 100), int(3600 * rule.rate_hz)
-    for _ in range(hours):
-        fresh, values = rng.standard_normal((frames, 6)), np.zeros((frames, 6))
-        for at in range(frames):
-            values[at] = correlation * values[at - 1] + np.sqrt(1 - correlation**2) * fresh[at]
-        steps = [EdgeStep(np.eye(4), row, np.eye(6), met, 100) for row in values]
-        raised += len(watched(_numbers(steps), steps, rule).slips)
-    return f"noise of the predicted errors, {hours} hours: {raised} alarms, {rule.alarms_per_hour:g} per hour expected"
+    return f"{len(delays)} of {count}", right, f"{np.median(delays):.0f}, {max(delays)}" if delays else ""
 
 
 def _slipped(step: EdgeStep | None, at: int, begin: int, axis: int, size: float) -> EdgeStep | None:
-    """Return the step of a frame once the mounting has slipped: the given extrinsic is off by as much."""
+    """Return the step of a frame after the mounting has slipped: the error of the given extrinsic grows by `size`."""
     if step is None or at < begin:
         return step
     return replace(step, error=step.error + size * np.eye(6)[axis])

@@ -8,15 +8,17 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from common import table
 from p2o.arrays import Bool, Float, Int
 from p2o.confidence.audit import AXES
 from p2o_fleet.simulation import Fault, NoiseBank, Scenario, SimulatedVehicle, simulated_fleet
 from p2o_fleet.statistics import NoiseModel, discoveries, e_process, local_deviations, noise_scale, systematic
 
+RIGS = ("kitti", "sim-hdl-64e")
 RATE = 0.01
 WITHIN = 200
 _SAMPLED_VEHICLES = 100
@@ -24,27 +26,28 @@ _LONG = 8
 """The fleets without a fault and with drifts have the number of checks times this factor."""
 
 
-def detect(vehicles: int, checks: int, fleets: int, rigs: Sequence[str], seed: int) -> list[str]:
-    """Return tables of the noise, of faults and false alarms of single vehicles, and of errors of a type."""
-    bank = NoiseBank.shipped()
-    lines = ["| noise | checks | frames | sd of roll, pitch, yaw (deg) | sd of x, y, z (cm) |", "|---|---|---|---|---|"]
-    for rig in rigs:
+def detect(vehicles: int = 1000, checks: int = 125, fleets: int = 100) -> Iterator[str]:
+    """Yield tables of the noise, of faults and false alarms of single vehicles, and of errors of a type."""
+    bank, lines = NoiseBank.shipped(), []
+    for rig in RIGS:
         rows = bank.groups[rig]
         sigma = bank.centred[rows].std(axis=0)
         turn, shift = (", ".join(f"{value:.2f}" for value in part) for part in (sigma[:3], 100 * sigma[3:]))
-        lines.append(f"| `{rig}` | {len(rows)} | {bank.frame_count[rows].sum()} | {turn} | {shift} |")
-    lines += ["", f"| noise | faults | frames | found within {WITHIN} frames | found | frames: median, 95 % | error |"]
-    lines[-1] += " right axis | false alarms |"
-    lines.append("|---" * 9 + "|")
-    for rig in rigs:
-        for name, scenario in _scenarios(rig, vehicles, checks, seed).items():
-            lines.append(f"| `{rig}` | {name} | " + " | ".join(_detected(scenario, bank)) + " |")
-    return [*lines, "", *_types(fleets, rigs, bank)]
+        lines.append((f"`{rig}`", len(rows), bank.frame_count[rows].sum(), turn, shift))
+    yield table(("noise", "checks", "frames", "sd of roll, pitch, yaw (deg)", "sd of x, y, z (cm)"), lines)
+    faults = [
+        (f"`{rig}`", name, *_detected(scenario, bank))
+        for rig in RIGS
+        for name, scenario in _scenarios(rig, vehicles, checks).items()
+    ]
+    head = ("noise", "faults", "frames", f"found within {WITHIN} frames", "found", "frames: median, 95 %", "error")
+    yield table((*head, "right axis", "false alarms"), faults)
+    yield _types(fleets, bank)
 
 
-def _scenarios(rig: str, vehicles: int, checks: int, seed: int) -> dict[str, Scenario]:
+def _scenarios(rig: str, vehicles: int, checks: int) -> dict[str, Scenario]:
     """Return the fleets of a rig; in each, a tenth of the vehicles have the first fault."""
-    plain = Scenario(vehicles, checks, 10.0, (rig,), {Fault.SLIP: 0.1}, seed=seed)
+    plain = Scenario(vehicles, checks, 10.0, (rig,), {Fault.SLIP: 0.1})
     others = dict.fromkeys((Fault.DRIFT, Fault.SWAPPED, Fault.DIRTY, Fault.BROKEN, Fault.CLOCK), 0.02)
     long = replace(plain, checks=_LONG * checks)
     return {
@@ -86,18 +89,18 @@ def _detected(scenario: Scenario, bank: NoiseBank) -> list[str]:
         begin = {Fault.SLIP: vehicle.begin, Fault.DRIFT: 0}.get(vehicle.fault, scenario.checks)
         fleet.append(_Judged(replace(vehicle, checks=vehicle.checks.take([])), begin, frames, logs.argmax(axis=1)))
     rejected = np.stack([discoveries(column, RATE) for column in total.T], axis=1)
-    sought = next(iter(scenario.shares), None)
+    fault = next(iter(scenario.shares), None)
     delays, right, at, false = list[float](), 0, list[float](), Counter[str]()
-    for one, alarms in zip(fleet, rejected, strict=True):
-        false[one.vehicle.fault.value] += bool(alarms[: one.begin].any())
-        if one.vehicle.fault is sought:
-            last = one.detected_after(alarms)
-            delays.append(np.inf if last is None else float(one.frames[last + 1] - one.frames[one.begin]))
+    for each, alarms in zip(fleet, rejected, strict=True):
+        false[each.vehicle.fault.value] += bool(alarms[: each.begin].any())
+        if each.vehicle.fault is fault:
+            last = each.detected_after(alarms)
+            delays.append(np.inf if last is None else float(each.frames[last + 1] - each.frames[each.begin]))
             if last is not None:
-                right += int(one.axes[last]) == one.vehicle.axis
-                at.append((last + 1) / scenario.checks if sought is Fault.DRIFT else 1.0)
-    frames = f"{sum(int(one.frames[-1]) for one in fleet):,}"
-    wrong = ", ".join(f"{number} ({fault})" for fault, number in false.items() if number) or "0"
+                right += int(each.axes[last]) == each.vehicle.axis
+                at.append((last + 1) / scenario.checks if fault is Fault.DRIFT else 1.0)
+    frames = f"{sum(int(each.frames[-1]) for each in fleet):,}"
+    wrong = ", ".join(f"{number} ({name})" for name, number in false.items() if number) or "0"
     if not delays:
         return [frames, "", "", "", "", "", wrong]
     within, number, share = sum(delay <= WITHIN for delay in delays), len(at), float(np.median(at)) if at else 0.0
@@ -124,14 +127,10 @@ def logs_of(vehicle: SimulatedVehicle, model: NoiseModel) -> Float:
     return logs[np.cumsum(usable)]
 
 
-def _types(fleets: int, rigs: Sequence[str], bank: NoiseBank, vehicles: int = 30, checks: int = 12) -> list[str]:
+def _types(fleets: int, bank: NoiseBank, vehicles: int = 30, checks: int = 12) -> str:
     """Return how often a common yaw error of a type is found, and how often one is reported without an error."""
-    tolerance = np.repeat([0.03, 0.01], 3)
-    lines = [
-        "| noise | yaw of the type wrong by | vehicles | fleets | found | false: fleets |",
-        "|---|---|---|---|---|---|",
-    ]
-    for rig in rigs:
+    tolerance, lines = np.repeat([0.03, 0.01], 3), []
+    for rig in RIGS:
         # Measured noise of a rig has a median of zero; its mean is the bias of the simulation, not of a type.
         bias = bank.centred[bank.groups[rig]].mean(axis=0)
         for size in (0.0, 0.1, 0.15):
@@ -139,10 +138,10 @@ def _types(fleets: int, rigs: Sequence[str], bank: NoiseBank, vehicles: int = 30
             for number in range(fleets):
                 scenario = Scenario(vehicles, checks, 10.0, (rig,), wrong_cad_deg=size, seed=1000 + number)
                 own = [vehicle.checks for vehicle in simulated_fleet(scenario, bank)]
-                means = np.stack([one.error.mean(axis=0) for one in own]) - bias
+                means = np.stack([each.error.mean(axis=0) for each in own]) - bias
                 sigmas = np.stack([np.sqrt(np.einsum("tii->ti", c.covariance).mean(axis=0) / len(c)) for c in own])
                 alarms = discoveries(systematic(means, sigmas, tolerance).log_e, RATE)
                 detected += bool(alarms[2]) and size > 0
                 false += bool(np.delete(alarms, 2).any()) or (bool(alarms[2]) and size == 0)
-            lines.append(f"| `{rig}` | {size:g} deg | {vehicles} | {fleets} | {detected} | {false} |")
-    return lines
+            lines.append((f"`{rig}`", f"{size:g} deg", vehicles, fleets, detected, false))
+    return table(("noise", "yaw of the type wrong by", "vehicles", "fleets", "found", "false: fleets"), lines)

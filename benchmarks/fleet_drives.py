@@ -18,7 +18,7 @@ from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
-from p2o.arrays import Float
+from common import SPLITS, size, table
 from p2o.confidence.audit import AXES
 from p2o.confidence.explanation import corrected
 from p2o.errors import InputError
@@ -69,18 +69,18 @@ class Vehicle:
             yield self.name, self.type, self.camera, "top", data, "truth", time, piece.frames
 
 
-def consecutive(names: Sequence[str], size: int = FRAMES) -> list[list[str]]:
-    """Split frames into consecutive pieces of `size` or more."""
-    return [part.tolist() for part in np.array_split(np.array(names), max(1, len(names) // size))]
+def consecutive(names: Sequence[str]) -> list[list[str]]:
+    """Split frames into consecutive pieces of `FRAMES` or more."""
+    return [part.tolist() for part in np.array_split(np.array(names), max(1, len(names) // FRAMES))]
 
 
-def spread_out(names: Sequence[str], size: int = FRAMES) -> list[list[str]]:
-    """Split frames into pieces of `size` or more, whose frames are as far apart as possible."""
-    count = max(1, len(names) // size)
+def spread_out(names: Sequence[str]) -> list[list[str]]:
+    """Split frames into pieces of `FRAMES` or more, whose frames are as far apart as possible."""
+    count = max(1, len(names) // FRAMES)
     return [list(names[first::count]) for first in range(count)]
 
 
-def _mixed(parts: list[list[str]], seed: int = 0) -> list[list[str]]:
+def _shuffled(parts: list[list[str]], seed: int = 0) -> list[list[str]]:
     return [parts[at] for at in np.random.default_rng(seed).permutation(len(parts))]
 
 
@@ -93,20 +93,20 @@ def vehicles(root: Path, splits: Mapping[str, Sequence[str]], simulated: Path) -
     later = splits["drive_0005_later"]
     first = [name for name in splits["drive_0005_consecutive"] if name not in splits["test"]]
     between = [name for name in splits["drive_0005_sparse"] if name not in {*first, *later}]
-    near = _mixed([piece for names in (first, later, *by_drive.values()) for piece in consecutive(names)])
-    far = _mixed([piece for names in ([*first, *between], later, splits["train"]) for piece in spread_out(names)])
+    near = _shuffled([piece for names in (first, later, *by_drive.values()) for piece in consecutive(names)])
+    far = _shuffled([piece for names in ([*first, *between], later, splits["train"]) for piece in spread_out(names)])
     kitti = {f"kitti-{n + 1}": _pieces("kitti-raw", raw, near[n::3]) for n in range(3)}
     kitti |= {f"kitti-{n + 4}": _pieces("kitti-raw", raw, far[n::3]) for n in range(3)}
     fleet = [Vehicle(name, "kitti", drives) for name, drives in kitti.items()]
     scenes = [f"scene-{number:04d}" for number in range(_SCENES)]
     parts = [*consecutive(scenes), *spread_out(scenes)]
     sims = {
-        name: _pieces("folder", simulated / name, _mixed(parts, seed)[:DRIVES]) for name, seed in _SIMULATED.items()
+        name: _pieces("folder", simulated / name, _shuffled(parts, seed)[:DRIVES]) for name, seed in _SIMULATED.items()
     }
     fleet += [Vehicle(name, "sim-hdl-64e", drives) for name, drives in sims.items()]
     for axis, (name, unit) in enumerate(AXES):
         slip = axis, _SIZES[unit] * (1 if axis % 2 == 0 else -1)
-        parts = _mixed(far, seed=1 + axis)[:DRIVES]
+        parts = _shuffled(far, seed=1 + axis)[:DRIVES]
         fleet.append(Vehicle(f"slip-{name}", "kitti", _pieces("kitti-raw", raw, parts), slip=slip))
     fleet.append(Vehicle("slip-sim-yaw", "sim-hdl-64e", sims["sim-a"][::-1], slip=(2, -_SIZES["deg"])))
     fleet.append(Vehicle("slip-sim-y", "sim-hdl-64e", sims["sim-b"][::-1], slip=(4, _SIZES["m"])))
@@ -131,30 +131,41 @@ def _pieces(dataset: str, path: Path, parts: Sequence[Sequence[str]]) -> tuple[P
     return tuple(Piece(dataset, path, ",".join(names)) for names in parts)
 
 
-def real(root: Path, out: Path, splits: Path, jobs: int) -> list[str]:
-    """Run `p2o fleet run` and `p2o fleet report` on the fleet, and return what was found as tables.
+def real(root: Path, out: Path) -> Iterator[str]:
+    """Run `p2o fleet run` and `p2o fleet report` on the fleet, and yield the results as tables.
 
     Everything is written to `out`; what is stored there from an earlier call is kept.
     """
+    import pyarrow.dataset
+
     for name, seed in _SIMULATED.items():
         if not (out / "simulated" / name).exists():
-            words = ["right=false", f"scenes={_SCENES}", "lidar=hdl-64e", "width_px=800", "height_px=300"]
-            options = [text for word in words for text in ("--set", word)]
-            _p2o("simulate", str(out / "simulated" / name), "--layout", "folder", "--seed", str(seed), *options)
-    fleet = vehicles(root, json.loads(splits.read_text(encoding="utf-8")), out / "simulated")
-    table, report = out / "drives.csv", out / "report"
-    with table.open("w", encoding="utf-8", newline="") as file:
+            settings = ["right=false", f"scenes={_SCENES}", "lidar=hdl-64e", "width_px=800", "height_px=300"]
+            words = [word for setting in settings for word in ("--set", setting)]
+            _p2o("simulate", str(out / "simulated" / name), "--layout", "folder", "--seed", str(seed), *words)
+    fleet = vehicles(root, json.loads(SPLITS.read_text(encoding="utf-8")), out / "simulated")
+    drives, store, report = out / "drives.csv", ("--store", str(out / "store")), out / "report"
+    with drives.open("w", encoding="utf-8", newline="") as file:
         csv.writer(file).writerows([COLUMNS, *(row for vehicle in fleet for row in vehicle.rows())])
-    words = ["--frames", str(FRAMES), "--candidates", str(FRAMES), "--jobs", str(jobs), "--plugin", str(_PLUGIN)]
-    _p2o("fleet", "run", str(table), "--store", str(out / "store"), *words)
-    _p2o(
-        "fleet", "report", "--store", str(out / "store"), "--out", str(report), "--plugin", str(_PLUGIN), allowed=(0, 1)
-    )
-    alarms = {one["vehicle"] for one in json.loads((report / "fleet.json").read_text(encoding="utf-8"))["alarms"]}
+    plugin = ("--plugin", str(_PLUGIN))
+    _p2o("fleet", "run", str(drives), *store, "--frames", str(FRAMES), "--candidates", str(FRAMES), *plugin)
+    _p2o("fleet", "report", *store, "--out", str(report), *plugin, allowed=(0, 1))
+    alarms = {alarm["vehicle"] for alarm in json.loads((report / "fleet.json").read_text(encoding="utf-8"))["alarms"]}
     state = fleet_state(Store.existing(out / "store"))
-    if alarms != {one.vehicle for one in state.alarms}:
+    if alarms != {alarm.vehicle for alarm in state.alarms}:
         raise InputError("the report is not that of the store", where=report, expected="the same alarms", got=alarms)
-    return [*_overview(fleet, state), "", *_slips(fleet, state), "", *_types(state), "", *_cost(Store(out / "store"))]
+    yield _overview(fleet, state)
+    yield _slips(fleet, state)
+    means = [
+        (kind.vehicle_type, kind.vehicles, *(amount(error).partition(" ")[2] for error in kind.errors))
+        for kind in state.types
+        if kind.errors
+    ]
+    yield table(("mean error of", "vehicles", *(name for name, _ in AXES)), means)
+    stored = pyarrow.dataset.dataset(Store(out / "store").checks_folder, format="parquet")
+    seconds = np.array(stored.to_table(columns=["seconds"])["seconds"].to_pylist())
+    figures = [f"{value:.0f}" for value in (seconds.sum(), *np.quantile(seconds, [0.5, 0.95, 1.0]))]
+    yield table(("checks", "s in total", "median", "95 %", "longest"), [(len(seconds), *figures)])
 
 
 def _p2o(*words: str, allowed: Sequence[int] = (0,)) -> None:
@@ -163,82 +174,54 @@ def _p2o(*words: str, allowed: Sequence[int] = (0,)) -> None:
         raise InputError("the command failed", where=" ".join(words), expected="exit status 0", got=done.returncode)
 
 
-def _overview(fleet: Sequence[Vehicle], state: FleetState) -> list[str]:
-    """Return drives, frames and states of the extrinsics in use by type, with and without a slip."""
-    lines = ["| type | slip | extrinsics | drives | frames | no estimate | holds | slipped | wrong | cannot tell |"]
-    lines.append("|---" * 10 + "|")
-    for kind in dict.fromkeys(vehicle.type for vehicle in fleet):
-        for slip in ("no", "yes"):
-            own = {v.name for v in fleet if v.type == kind and (v.slip is not None) == (slip == "yes")}
-            states = [one for one in state.current if one.vehicle in own]
-            if states:
-                drives, usable, frames = (sum(map(attrgetter(n), states)) for n in ("checks", "usable", "frames"))
-                counts = [sum(one.status is status for one in states) for status in _ORDER]
-                cells = map(str, [kind, slip, len(states), drives, frames, drives - usable, *counts])
-                lines.append(f"| {' | '.join(cells)} |")
-    return lines
-
-
-def _types(state: FleetState) -> list[str]:
-    """Return the mean errors of the types of five vehicles or more, with 95 % intervals."""
-    lines = [f"| mean error of | vehicles | {' | '.join(name for name, _ in AXES)} |", "|---" * 8 + "|"]
-    for one in state.types:
-        if one.errors:
-            cells = [amount(error).partition(" ")[2] for error in one.errors]
-            lines.append(f"| {one.vehicle_type} | {one.vehicles} | {' | '.join(cells)} |")
-    return lines
-
-
-def _cost(store: Store) -> list[str]:
-    values = seconds_of_checks(store)
-    lines = ["| checks | s, together | median | 95 % | longest |", "|---|---|---|---|---|"]
-    figures = [values.sum(), *np.quantile(values, [0.5, 0.95, 1.0])]
-    return [*lines, f"| {len(values)} | {' | '.join(f'{value:.0f}' for value in figures)} |"]
-
-
-def seconds_of_checks(store: Store) -> Float:
-    """Return the durations (N,) of the checks of all runs on a store."""
-    import pyarrow.dataset
-
-    data = pyarrow.dataset.dataset(store.checks_folder, format="parquet")
-    return np.array(data.to_table(columns=["seconds"])["seconds"].to_pylist())
-
-
 _ORDER = (FleetStatus.HOLDS, FleetStatus.SLIPPED, FleetStatus.WRONG, FleetStatus.CANNOT_TELL)
 
 
-def _slips(fleet: Sequence[Vehicle], state: FleetState) -> list[str]:
+def _overview(fleet: Sequence[Vehicle], state: FleetState) -> str:
+    """Return drives, frames and states of the extrinsics in use by type, with and without a slip."""
+    lines = []
+    for kind in dict.fromkeys(vehicle.type for vehicle in fleet):
+        for slip in (False, True):
+            own = {v.name for v in fleet if v.type == kind and (v.slip is not None) is slip}
+            states = [extrinsic for extrinsic in state.current if extrinsic.vehicle in own]
+            if states:
+                drives, usable, frames = (sum(map(attrgetter(n), states)) for n in ("checks", "usable", "frames"))
+                counts = [sum(extrinsic.status is status for extrinsic in states) for status in _ORDER]
+                lines.append((kind, "yes" if slip else "no", len(states), drives, frames, drives - usable, *counts))
+    head = ("type", "slip", "extrinsics", "drives", "frames", "no estimate", "holds", "slipped", "wrong", "cannot tell")
+    return table(head, lines)
+
+
+def _slips(fleet: Sequence[Vehicle], state: FleetState) -> str:
     """Return what the report states on each vehicle with a slip or an alarm."""
-    lines = ["| vehicle | slip | alarm (95 %) | since drive (95 %) | drives, frames until alarm | error of proposal |"]
-    lines.append("|---|---|---|---|---|---|")
+    lines = []
     for vehicle in fleet:
-        one = next(s for s in state.current if (s.vehicle, s.camera) == (vehicle.name, vehicle.camera))
-        if vehicle.slip is None and one.alarm is None:
+        current = next(s for s in state.current if (s.vehicle, s.camera) == (vehicle.name, vehicle.camera))
+        slip, alarm = vehicle.slip, current.alarm
+        if slip is None and alarm is None:
             continue
-        injected = "none" if vehicle.slip is None else f"{_size(*vehicle.slip)} since drive {BEFORE + 1}"
-        alarm = "none" if one.alarm is None else ", ".join(map(amount, one.alarm.axes))
-        since, delay, proposal = "", "", ""
-        if one.alarm is not None:
-            numbers = [_drive_number(time) for time in (one.alarm.since, one.alarm.since_first, one.alarm.since_last)]
-            since = "{} ({} to {})".format(*numbers)
-        if one.alarm is not None and vehicle.slip is not None:
-            delay, proposal = _delay(one, len(state.current), state.rules.rate), _proposed(one.alarm, vehicle.slip)
-        lines.append(f"| {vehicle.name} | {injected} | {alarm} | {since} | {delay} | {proposal} |")
-    return lines
-
-
-def _size(axis: int, size: float) -> str:
-    name, unit = AXES[axis]
-    return f"{name} {size:+g} deg" if unit == "deg" else f"{name} {100 * size:+g} cm"
+        injected, cells = "none", ["none", "", "", ""]
+        if slip is not None:
+            (name, unit), value = AXES[slip[0]], slip[1]
+            value_text = f"{value:+g} deg" if unit == "deg" else f"{100 * value:+g} cm"
+            injected = f"{name} {value_text} since drive {BEFORE + 1}"
+        if alarm is not None:
+            first = [_drive_number(time) for time in (alarm.since, alarm.since_first, alarm.since_last)]
+            cells[:2] = [", ".join(map(amount, alarm.axes)), "{} ({} to {})".format(*first)]
+        if alarm is not None and slip is not None:
+            cells[2:] = [_delay(current, len(state.current), state.rules.rate), _proposed(alarm, slip)]
+        lines.append((vehicle.name, injected, *cells))
+    head = ("slip", "alarm (95 %)", "since drive (95 %)", "drives, frames until alarm", "error of proposal")
+    return table(("vehicle", *head), lines)
 
 
 def _drive_number(time: float) -> int:
     return 1 + round((time - _BEGIN) / _DAY_S)
 
 
-def _delay(one: ExtrinsicState, count: int, rate: float) -> str:
+def _delay(extrinsic: ExtrinsicState, count: int, rate: float) -> str:
     """Return the drives and frames after the slip until the evidence alone is a discovery among `count` extrinsics."""
-    past = one.history
+    past = extrinsic.history
     after = [log_e for time, log_e in zip(past.time, past.log_e, strict=True) if _drive_number(time) > BEFORE]
     enough = np.flatnonzero(np.array(after) >= np.log(count / rate))
     return f"{enough[0] + 1}, {(enough[0] + 1) * FRAMES}" if len(enough) else "with others only"
@@ -246,15 +229,9 @@ def _delay(one: ExtrinsicState, count: int, rate: float) -> str:
 
 def _proposed(alarm: Alarm, slip: tuple[int, float]) -> str:
     """Return the error of the proposed extrinsic; the correct one is that in use without the slip."""
-    in_use = _without(alarm)
-    error = pose_error(alarm.proposal, corrected(in_use, slip[0], np.array([slip[1]]))[0])
-    return f"{error.rotation_deg:.2f} deg, {100 * error.translation_m:.1f} cm"
-
-
-def _without(alarm: Alarm) -> Float:
-    """Return the extrinsic in use: the proposal with the errors of the alarm."""
-    index = {name: number for number, (name, _) in enumerate(AXES)}
-    pose = alarm.proposal
+    names = [name for name, _ in AXES]
+    in_use = alarm.proposal  # with the errors of the alarm
     for axis in reversed(alarm.axes):
-        pose = corrected(pose, index[axis.axis], np.array([-axis.size]))[0]
-    return pose
+        in_use = corrected(in_use, names.index(axis.axis), np.array([-axis.size]))[0]
+    error = pose_error(alarm.proposal, corrected(in_use, slip[0], np.array([slip[1]]))[0])
+    return size(error.rotation_deg, error.translation_m)

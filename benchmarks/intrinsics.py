@@ -1,207 +1,166 @@
-"""Measure whether wrong intrinsics are noticed: false accepts, false accusations, and how well the error is named.
+"""Measure whether wrong intrinsics are detected: false accepts, false alarms, and whether the error is named.
 
-    python benchmarks/intrinsics.py [--rigs street:hdl-64e ...] [--seeds 1 2] [--frames 10] [--out FILE.json]
-    python benchmarks/intrinsics.py --data kitti-raw:PATH ... [--seeds 1 2] [--frames 10]
+    python benchmarks/intrinsics.py [--seeds 1 2]
+    python benchmarks/intrinsics.py --data kitti-raw:PATH ... [--seeds 1 2]
 
-Every rig is a simulated drive with exact ground truth (scenes of the place with the LiDAR), calibrated jointly from an
-initial error of 1 deg and 10 cm, with the true camera and with wrong ones: the focal length 1, 3 and 5 % too long or
-too short, the principal point 10 and 30 px off, a radial distortion that the calibration lacks. Features are extracted
-once. Printed by kind of error: n, results that are trusted although the error exceeds the 95 % bound (false accepts of
-the bound) or 1 deg or 30 cm, results in which the camera is in doubt, in which the wrong parameter is named, and in
-which all four parameters are within 1.96 of their standard deviations; the median errors as given and with
-`pipeline.camera=refine`.
+Every rig is a simulated drive with exact ground truth (ten scenes of the place with the LiDAR), calibrated jointly from
+an initial error of 1 deg and 10 cm, with the true camera and with wrong ones: the focal length 1, 3 and 5 % too long or
+too short, the principal point shifted by 10 and 30 px, a radial distortion that the calibration lacks. Features are
+extracted once. Printed by kind of error: n, results that are trusted although the error exceeds 1 deg or 30 cm, or the
+95 % bound, results in which the camera is in doubt, in which the wrong parameter is named, and in which all four
+parameters are within 1.96 of their standard deviations; the median errors as given and with `pipeline.camera=refine`.
 
 With `--data`, the rigs are real drives whose camera is taken as correct: successive frames of one folder, without
-overlap, at most `--frames` and at least five jointly, with the camera as given and with the errors in `REAL_CASES`.
+overlap, five to ten jointly, with the camera as given and with the errors in `REAL_CASES`.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import sys
-from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass, replace
 
 import numpy as np
+from common import grouped, is_wrong, size, table
 from p2o import Registry
-from p2o.arrays import Float
-from p2o.calibration.options import PipelineOptions
 from p2o.frames.frame import Frame
 from p2o.geometry.perturb import parse_perturbation
-from p2o.geometry.pose_error import pose_error
+from p2o.geometry.pose_error import PoseError, pose_error
 from p2o.geometry.radial_error import RadialError
 from p2o.results.result import Result
 from p2o.results.verdict import Doubt
-from p2o.run.assembly import Assembly
 from p2o.run.pipeline import Pipeline
 from p2o.run.recipe import Recipe, open_dataset
 
 RIGS = ("street:hdl-64e", "suburb:hdl-64e", "highway:hdl-64e", "street:os1-64", "suburb:os1-64", "yard:hdl-64e")
+
+
+def _both(**error: float) -> tuple[RadialError, RadialError]:
+    return RadialError(**error), RadialError(**{name: -value for name, value in error.items()})
+
+
 CASES: dict[str, tuple[RadialError, ...]] = {
     "correct": (RadialError(),),
-    "focal length 1 %": (RadialError(focal=0.01), RadialError(focal=-0.01)),
-    "focal length 3 %": (RadialError(focal=0.03), RadialError(focal=-0.03)),
-    "focal length 5 %": (RadialError(focal=0.05), RadialError(focal=-0.05)),
-    "principal point x 10 px": (RadialError(x_px=10.0), RadialError(x_px=-10.0)),
-    "principal point x 30 px": (RadialError(x_px=30.0), RadialError(x_px=-30.0)),
-    "principal point y 10 px": (RadialError(y_px=10.0), RadialError(y_px=-10.0)),
-    "principal point y 30 px": (RadialError(y_px=30.0), RadialError(y_px=-30.0)),
-    "radial distortion 0.05": (RadialError(radial=0.05), RadialError(radial=-0.05)),
-    "radial distortion 0.19": (RadialError(radial=0.19), RadialError(radial=-0.19)),
+    **{f"focal length {percent} %": _both(focal=percent / 100) for percent in (1, 3, 5)},
+    **{f"principal point x {px} px": _both(x_px=px) for px in (10, 30)},
+    **{f"principal point y {px} px": _both(y_px=px) for px in (10, 30)},
+    **{f"radial distortion {radial}": _both(radial=radial) for radial in (0.05, 0.19)},
 }
 REAL_CASES = ("correct", "focal length 3 %", "principal point x 10 px")
-LEAST_FRAMES = 5
+LEAST_FRAMES, FRAMES = 5, 10
 INITIAL = parse_perturbation("1deg 0.1m")
+HEAD = (
+    "error of the intrinsics", "n", "trusted", "trusted, over 1 deg or 30 cm", "trusted, outside the 95 % bound",
+    "camera in doubt", "parameter named", "all within 1.96 sigma", "median error", "with `camera=refine`"
+)  # fmt: skip
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Row:
-    """One calibration: the rig, the kind of error, and what the result states."""
+    """A calibration with an error of the intrinsics: its result and error, and the error with a refined camera."""
 
-    rig: str
-    seed: int
     case: str
-    trusted: bool
-    in_doubt: bool
-    wrong: tuple[str, ...]
-    within: bool
-    rotation_deg: float
-    translation_m: float
-    bound_deg: float
-    bound_m: float
-    refined_deg: float
-    refined_m: float
+    intrinsics: RadialError
+    result: Result
+    error: PoseError
+    refined: PoseError
 
     @property
     def false_accept(self) -> bool:
         """Whether the result is trusted and its error exceeds 1 deg or 30 cm."""
-        return self.trusted and (self.rotation_deg > 1.0 or self.translation_m > 0.3)
+        return self.result.verdict.trusted and is_wrong(self.error.rotation_deg, self.error.translation_m)
 
     @property
     def outside(self) -> bool:
         """Whether the result is trusted and its error exceeds the 95 % bound."""
-        return self.trusted and (self.rotation_deg > self.bound_deg or self.translation_m > self.bound_m)
+        bound = self.result.accuracy
+        if bound is None or not self.result.verdict.trusted:
+            return False
+        error = self.error
+        return error.rotation_deg > bound.rotation_deg_95 or error.translation_m > bound.translation_m_95
+
+    @property
+    def in_doubt(self) -> bool:
+        """Whether the verdict doubts the camera."""
+        return any(reason.doubt is Doubt.CAMERA for reason in self.result.verdict.reasons)
+
+    @property
+    def named(self) -> bool:
+        """Whether the result names the wrong parameter."""
+        return any(self.case.startswith(name) for check in self.result.cameras for name in check.wrong)
+
+    @property
+    def within(self) -> bool:
+        """Whether all parameters are within 1.96 of their standard deviations."""
+        error = self.intrinsics
+        expected = (1 / (1 + error.focal) - 1, -error.radial, -error.x_px, -error.y_px)
+        for check in self.result.cameras:
+            values = (check.focal, check.radial, check.x_px, check.y_px)
+            sigmas = (check.focal_sigma, check.radial_sigma, check.x_sigma_px, check.y_sigma_px)
+            return all(abs(v - e) < 1.96 * s for v, e, s in zip(values, expected, sigmas, strict=True))
+        return False
 
 
-def rows_of(rig: str, seed: int, frames: int) -> Iterator[Row]:
-    """Yield the rows of one rig."""
+def simulated(rig: str, seed: int, registry: Registry) -> list[Frame]:
+    """Return the frames of a simulated drive."""
     place, lidar = rig.split(":")
-    registry = Registry.load()
-    dataset = open_dataset(f"synthetic:?scenes={frames}&place={place}&lidar={lidar}&seed={seed}&right=false", registry)
-    yield from _rows(rig, seed, _pipeline(registry), [dataset[number] for number in range(frames)], CASES)
+    data = f"synthetic:?scenes={FRAMES}&place={place}&lidar={lidar}&seed={seed}&right=false"
+    return list(open_dataset(data, registry))
 
 
-def rows_of_drives(data: str, seed: int, frames: int) -> Iterator[Row]:
-    """Yield the rows of all groups of successive frames of one folder of a data set."""
-    registry = Registry.load()
-    dataset, pipeline, drives = open_dataset(data, registry), _pipeline(registry), defaultdict(list)
-    for number, name in enumerate(dataset.names):
-        drives[name.rpartition("/")[0]].append(number)
-    for drive, numbers in drives.items():
-        for first in range(0, len(numbers), frames):
-            group = numbers[first : first + frames]
-            if len(group) >= LEAST_FRAMES:
-                its = [dataset[number] for number in group]
-                yield from _rows(f"{drive}:{len(group)}", seed, pipeline, its, REAL_CASES)
+def real(data: str, registry: Registry) -> Iterator[list[Frame]]:
+    """Yield the groups of successive frames of each folder of a data set."""
+    dataset = open_dataset(data, registry)
+    for numbers in grouped(range(len(dataset)), lambda number: dataset.names[number].rpartition("/")[0]).values():
+        for first in range(0, len(numbers) - LEAST_FRAMES + 1, FRAMES):
+            yield [dataset[number] for number in numbers[first : first + FRAMES]]
 
 
-def _pipeline(registry: Registry) -> Pipeline:
-    assembly = Assembly.of(Recipe.of(data=None, joint=True).resolve(registry).parts, PipelineOptions())
-    assert isinstance(assembly.calibrator, Pipeline)
-    return assembly.calibrator
-
-
-def _rows(rig: str, seed: int, pipeline: Pipeline, frames: Sequence[Frame], cases: Iterable[str]) -> Iterator[Row]:
+def rows_of(seed: int, pipeline: Pipeline, frames: Sequence[Frame], cases: Iterable[str]) -> Iterator[Row]:
     """Yield the rows of frames that are calibrated jointly."""
     truth = frames[0].camera_from_lidar
     assert truth is not None
     views = [pipeline.prepare(frame) for frame in frames]
     start = INITIAL.start(truth, np.random.default_rng([seed, 0]))
+    refine = replace(pipeline, options=pipeline.options.model_copy(update={"camera": "refine"}))
     for case in cases:
         for error in CASES[case]:
             wrong = [replace(view, camera=error.corrected(view.camera)) for view in views]
-            result = pipeline.solve(wrong, start)
-            refine = replace(pipeline, options=pipeline.options.model_copy(update={"camera": "refine"}))
-            yield _row(rig, seed, case, error, truth, result, refine.solve(wrong, start))
+            results = [one.solve(wrong, start) for one in (pipeline, refine)]
+            yield Row(case, error, results[0], *(pose_error(result.camera_from_lidar, truth) for result in results))
 
 
-def _row(rig: str, seed: int, case: str, error: RadialError, truth: Float, result: Result, refined: Result) -> Row:
-    off, after = (pose_error(r.camera_from_lidar, truth) for r in (result, refined))
-    [check] = result.cameras or [None]
-    within = False
-    if check is not None:
-        expected = (1 / (1 + error.focal) - 1, -error.radial, -error.x_px, -error.y_px)
-        values = (check.focal, check.radial, check.x_px, check.y_px)
-        sigmas = (check.focal_sigma, check.radial_sigma, check.x_sigma_px, check.y_sigma_px)
-        within = all(abs(v - e) < 1.96 * s for v, e, s in zip(values, expected, sigmas, strict=True))
-    accuracy = result.accuracy
-    return Row(
-        rig,
-        seed,
-        case,
-        result.verdict.trusted,
-        any(reason.doubt is Doubt.CAMERA for reason in result.verdict.reasons),
-        () if check is None else check.wrong,
-        within,
-        off.rotation_deg,
-        off.translation_m,
-        np.inf if accuracy is None else accuracy.rotation_deg_95,
-        np.inf if accuracy is None else accuracy.translation_m_95,
-        after.rotation_deg,
-        after.translation_m,
-    )
-
-
-def table(rows: Sequence[Row]) -> str:
+def tables(rows: Sequence[Row]) -> str:
     """Return the figures by kind of error as a table in Markdown."""
-    by_case: dict[str, list[Row]] = defaultdict(list)
-    for row in rows:
-        by_case[row.case].append(row)
-    lines = [
-        "| error of the intrinsics | n | trusted | trusted, over 1 deg or 30 cm | trusted, outside the 95 % bound |"
-        " camera in doubt | parameter named | all within 1.96 sigma | median error | with `camera=refine` |",
-        "|---|---|---|---|---|---|---|---|---|---|",
-    ]
-    for case, its in by_case.items():
-        named = sum(any(case.startswith(name) for name in row.wrong) for row in its)
-        median = [float(np.median([getattr(row, name) for row in its])) for name in
-                  ("rotation_deg", "translation_m", "refined_deg", "refined_m")]  # fmt: skip
-        counts = [
-            len(its),
-            sum(row.trusted for row in its),
-            sum(row.false_accept for row in its),
-            sum(row.outside for row in its),
-            sum(row.in_doubt for row in its),
-            named if case != "correct" else "-",
-            sum(row.within for row in its),
-        ]
-        errors = [f"{d:.2f} deg, {100 * m:.1f} cm" for d, m in (median[:2], median[2:])]
-        lines.append(f"| {case} | {' | '.join(map(str, counts))} | {' | '.join(errors)} |")
-    return "\n".join(lines)
+    lines = []
+    for case, group in grouped(rows, lambda row: row.case).items():
+        errors = ([row.error for row in group], [row.refined for row in group])
+        medians = [size(*np.median([(e.rotation_deg, e.translation_m) for e in each], axis=0)) for each in errors]
+        counts = [sum(getattr(row, name) for row in group) for name in ("false_accept", "outside", "in_doubt", "named")]
+        counts[3:] = ["-"] if case == "correct" else counts[3:]
+        trusted, within = sum(row.result.verdict.trusted for row in group), sum(row.within for row in group)
+        lines.append((case, len(group), trusted, *counts, within, *medians))
+    return table(HEAD, lines)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main() -> None:
     """Calibrate all rigs and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rigs", nargs="+", default=list(RIGS), metavar="PLACE:LIDAR")
     parser.add_argument("--data", nargs="+", metavar="DATASET:PATH", help="real drives instead of the rigs")
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2])
-    parser.add_argument("--frames", type=int, default=10)
-    parser.add_argument("--out", type=Path, help="write the rows as JSON")
-    options = parser.parse_args(arguments)
-    rows = []
-    for rig in options.data or options.rigs:
+    options = parser.parse_args()
+    registry, rows = Registry.load(), list[Row]()
+    pipeline = Recipe.of(data=None, joint=True).resolve(registry).calibrator()
+    assert isinstance(pipeline, Pipeline)
+    for rig in options.data or RIGS:
         for seed in options.seeds:
-            rows += list((rows_of_drives if options.data else rows_of)(rig, seed, options.frames))
+            groups = real(rig, registry) if options.data else [simulated(rig, seed, registry)]
+            for frames in groups:
+                rows += rows_of(seed, pipeline, frames, REAL_CASES if options.data else CASES)
             print(f"{rig} {seed}: {len(rows)} results", file=sys.stderr, flush=True)
-            if options.out is not None:
-                options.out.write_text(json.dumps([asdict(row) for row in rows], indent=1))
-    print(table(rows))
-    return 0
+    print(tables(rows))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

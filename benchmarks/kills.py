@@ -1,40 +1,194 @@
-"""A study that is killed at random moments, again and again: is a finished row lost, or one bit of a result changed?
+"""Kill studies and fleet runs at random moments: is a finished row or check lost, or a bit of a result changed?
 
-    python benchmarks/kills.py --kills 100 --seed 1
+    python benchmarks/kills.py study --kills 100 --seed 1
+    python benchmarks/kills.py fleet --kills 100      # local runs of `p2o fleet`, in every third folder two at a time
+    python benchmarks/kills.py cluster --kills 100    # scheduler, workers and runs of `p2o fleet` on a dask cluster
 
-A small study of synthetic streets is run undisturbed once. Then it is started, killed at a random moment and started
-again until it is done, and once more in another folder, until it was killed so often: by SIGKILL, SIGTERM and SIGINT,
-the process alone or all processes of its group, with one job and with two. After every kill the store is whole, every
-row that was seen before is there, and no process is left; what SIGTERM and SIGINT end has status 130, unless Python has
-not come to p2o yet. Every row is the same to the last bit as that of the undisturbed study, but for the time it took.
-Exit status 1 where one of these does not hold. The seed gives the same moments again, as far as the machine is as fast.
+Each of them is started, killed at a random moment and started again until it is complete, one folder after the other:
+by SIGKILL, SIGTERM and SIGINT, one process or its whole group, with one job and with two; in a cluster by SIGKILL. A
+third of the kills of a study occur while it starts, reads and plans, all others while rows are computed. After every
+kill the store is intact, everything that it contained before is present, and no process is left; what SIGTERM and
+SIGINT end has status 130, unless Python has not reached p2o yet. Every row of a study is the same to the last bit as
+that of an undisturbed study, except for its run time; a fleet has the expected number of checks of every vehicle.
+Exit status 1 if one of these conditions is violated. A seed gives the same moments on machines of the same speed.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
+import multiprocessing
 import os
 import random
 import signal
+import socket
 import sqlite3
 import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, ClassVar
 
-STUDY = """name = "kills"
-title = "A study that is killed"
-perturb = "1deg 0.05m"
-seeds = {seeds}
-[[dataset]]
-name = "streets"
-data = "synthetic:"
-options = {{ scenes = {scenes}, width_px = 320, height_px = 96, lidar = "vlp-16", right = false }}
-[defaults]
+import numpy as np
+from common import STUDY
+from p2o_fleet.drive import drives_of
+from p2o_fleet.evidence import Verdict
+from p2o_fleet.run import run_fleet
+from p2o_fleet.store import Store
+from p2o_fleet.worker import CheckSettings
+from p2o_study.parallel import Workers
+from p2o_study.worker import Plugins
+
+_LEAVE_S = 30.0
+"""Time that processes may need to end on a busy machine; workers look for their parent every half second."""
+_STUCK_S = 300.0
+
+
+Process = Any
+"""A process that leads a group of its own: with `pid`, `poll` and `wait` as of `subprocess.Popen`."""
+
+
+@dataclass
+class Tally:
+    """The outcome: `kills` by signal or process, how many of them occurred among the rows, and violated conditions."""
+
+    kills: Counter[str] = field(default_factory=Counter)
+    among_rows: int = 0
+    folders: int = 0
+    count: int = 0
+    broken: list[str] = field(default_factory=list)
+
+    def __str__(self) -> str:
+        kinds = ", ".join(f"{count} {name}" for name, count in sorted(self.kills.items()))
+        head = (
+            f"{self.kills.total()} kills ({kinds}), {self.among_rows} of them among the rows; "
+            f"{self.folders} folders of {self.count} rows; {len(self.broken)} conditions violated"
+        )
+        return "\n".join([head, *(f"  {line}" for line in self.broken)])
+
+
+class Subject:
+    """What is killed: `count` rows or checks, the first after `start_s`, each in `row_s`, compared with `expected`."""
+
+    SIGNALS: ClassVar[tuple[signal.Signals, ...]] = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
+    expected: Mapping[str, object] | None = None
+    start_s, row_s = 0.0, 0.12
+    is_command, count = False, 0
+
+    def victims(self, processes: list[Process], rng: random.Random) -> dict[str, Process]:
+        """Return the processes to kill by name."""
+        return {f"run {n}": process for n, process in enumerate(processes) if process.poll() is None}
+
+
+def campaign(subject: StudyOfStreets | Fleet, kills: int, seed: int, home: Path) -> Tally:
+    """Kill a subject at random moments until `kills` kills, in folders of `home`."""
+    rng, tally = random.Random(seed), Tally(count=subject.count)
+    while tally.kills.total() < kills:
+        tally.folders += 1
+        folder = home / f"run-{tally.folders}"
+        while disturbed(subject, folder, rng, tally, kills):
+            print(f"{tally.kills.total()} kills, {len(tally.broken)} conditions violated", file=sys.stderr, flush=True)
+        tally.broken += [f"{folder.name}: {fault}" for fault in subject.faults(folder)]
+    return tally
+
+
+def disturbed(subject: StudyOfStreets | Fleet, folder: Path, rng: random.Random, tally: Tally, kills: int) -> bool:
+    """Start the subject, kill it, and check the conditions; return whether it is incomplete."""
+    before, number, group = subject.finished(folder), rng.choice(subject.SIGNALS), rng.random() < 0.5
+    processes = subject.start(folder, tally.folders)
+    if tally.kills.total() >= kills:
+        for process in processes:
+            process.wait(600)
+    elif rng.random() < 1 / 3 and subject.start_s:
+        _until(rng.uniform(0.0, subject.start_s), lambda: _ended(processes))
+    else:
+        _until(_STUCK_S, lambda: _ended(processes) or len(subject.finished(folder)) > len(before))
+        _until(rng.uniform(0.0, 4 * subject.row_s), lambda: _ended(processes))
+    where = f"{folder.name}, kill {tally.kills.total() + 1} ({number.name} to {'all' if group else 'one'})"
+    known, victims = subject.finished(folder), subject.victims(processes, rng)
+    for name, process in victims.items():
+        # Shells also report 130 for SIGINT: Python ends with it if it is interrupted while it compiles a text.
+        expected = {0, 130, -signal.SIGINT}
+        if number is signal.SIGKILL or not _handles_signals(process.pid):
+            expected.add(-number)
+        kill(process, number, group=group)
+        tally.kills[f"{name.split()[0]} by {number.name}"] += 1
+        tally.among_rows += 0 < len(known) < subject.count
+        if subject.is_command and process.wait() not in expected:
+            tally.broken.append(f"{where}: exit status {process.wait()}")
+    for process in (process for process in processes if process.poll() is not None):
+        if subject.is_command and process not in victims.values() and process.poll():
+            tally.broken.append(f"{where}: ended without a kill with status {process.poll()}")
+        if left := _left(process.pid):
+            tally.broken.append(f"{where}: {len(left)} processes are left")
+            os.killpg(process.pid, signal.SIGKILL)
+    now = subject.finished(folder)
+    lost = [key for key in before.keys() | known.keys() if key not in now]
+    changed = [key for key in now if subject.expected is not None and now[key] != subject.expected.get(key)]
+    for keys, problem in ((lost, "lost"), (changed, "changed")):
+        if keys:
+            tally.broken.append(f"{where}: {len(keys)} rows {problem}, such as {keys[0]}")
+    return len(now) < subject.count and bool(victims)
+
+
+def kill(process: Process, number: signal.Signals = signal.SIGKILL, *, group: bool = True) -> None:
+    """Send a signal to a process or to its group, and wait for its end."""
+    try:
+        (os.killpg if group else os.kill)(process.pid, number)
+    except ProcessLookupError:  # it has ended, or does not lead its group yet
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(process.pid, number)
+    process.wait(600)
+
+
+def _ended(processes: list[Process]) -> bool:
+    return all(process.poll() is not None for process in processes)
+
+
+def _until(limit_s: float, condition: Callable[[], bool]) -> None:
+    """Wait until a condition is true, at most `limit_s`."""
+    end = time.monotonic() + limit_s
+    while not condition() and time.monotonic() < end:
+        time.sleep(0.02)
+
+
+def _handles_signals(process: int) -> bool:
+    """Return whether a process handles SIGTERM; False if that cannot be determined."""
+    try:
+        status = Path(f"/proc/{process}/status").read_text()
+    except OSError:
+        return False
+    caught = next(line for line in status.splitlines() if line.startswith("SigCgt:"))
+    return bool(int(caught.split()[1], 16) >> (signal.SIGTERM - 1) & 1)
+
+
+def _left(session: int) -> list[str]:
+    """Return the processes of a session that do not end; none if they cannot be listed."""
+    _until(_LEAVE_S, lambda: not _alive(session))
+    return _alive(session)
+
+
+def _alive(session: int) -> list[str]:
+    alive = []
+    for file in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError, ValueError):  # it has ended meanwhile
+            state, _, _, own, *_ = file.read_text().rpartition(")")[2].split()
+            if own == str(session) and state not in "ZX":
+                alive.append(file.parent.name)
+    return alive
+
+
+# --- studies -------------------------------------------------------------------------------------------------------
+
+
+class StudyOfStreets(Subject):
+    """A small study of synthetic streets, with the rows of an undisturbed run in `home`."""
+
+    ROWS: ClassVar[str] = """[defaults]
 extractor = "depth/rings"
 init = "given"
 solver = "lm"
@@ -45,207 +199,232 @@ label = "pairs of frames"
 matcher = "ogm"
 joint = 2
 """
-_TAKES_TIME = {"seconds", "finished", "machine"}
-"""Columns that differ from run to run."""
-_SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
-_LEAVE_S = 30.0
-"""So long the processes of a killed study may take to end on a busy machine; workers look every half second."""
+    RUN_TIME: ClassVar[frozenset[str]] = frozenset({"seconds", "finished", "machine"})
+    """Columns that differ between runs."""
+    is_command = True
 
-Row = tuple[object, ...]
+    def __init__(self, home: Path, scenes: int = 3, seeds: int = 4) -> None:
+        self.file, folder = home / "kills.toml", home / "undisturbed"
+        data = f"synthetic:?scenes={scenes}&width_px=320&height_px=96&lidar=vlp-16&right=false"
+        self.file.write_text(STUDY.format(name="kills", seeds=seeds, data=data) + self.ROWS, encoding="utf-8")
+        began = time.monotonic()
+        [process] = self.start(folder, 0)
+        while process.poll() is None and not self.finished(folder):
+            time.sleep(0.02)
+        self.start_s = time.monotonic() - began
+        if process.wait():
+            raise SystemExit("the undisturbed study did not succeed")
+        self.expected = self.finished(folder)
+        self.count = len(self.expected)
+        self.row_s = (time.monotonic() - began - self.start_s) / self.count
+
+    def start(self, folder: Path, number: int) -> list[Process]:
+        """Start the study in a session of its own, whose cache is in the folder."""
+        words = ["ablate", str(self.file), "--out", str(folder), "--jobs", str(1 + number % 2), "--quiet"]
+        environment = {**os.environ, "P2O_CACHE": str(folder / "cache"), "OMP_NUM_THREADS": "1"}
+        nowhere = subprocess.DEVNULL
+        command = [sys.executable, "-m", "p2o", *words]
+        return [subprocess.Popen(command, stdout=nowhere, stderr=nowhere, env=environment, start_new_session=True)]
+
+    def finished(self, folder: Path) -> dict[str, object]:
+        """Return the finished rows by key, without their run time; raises SystemExit if the store is damaged."""
+        if not (folder / "study.sqlite").exists():
+            return {}
+        with contextlib.closing(sqlite3.connect(folder / "study.sqlite", timeout=60)) as connection:
+            if connection.execute("pragma integrity_check").fetchall() != [("ok",)]:
+                raise SystemExit(f"{folder}: the store is damaged")
+            names = [name for _, name, *_ in connection.execute("pragma table_info(runs)")]
+            columns = [name for name in names if name not in self.RUN_TIME]
+            if not columns:
+                return {}
+            query = f"select {', '.join(columns)} from runs where status != 'stage-failed'"
+            return {str(row[0]): row for row in connection.execute(query)}
+
+    def faults(self, folder: Path) -> list[str]:
+        """Return the differences of a complete study from the undisturbed one."""
+        rows = self.finished(folder)
+        different = [key for key in self.expected.keys() | rows.keys() if rows.get(key) != self.expected.get(key)]
+        return [f"{len(different)} rows differ in the end, such as {different[0]}"] if different else []
+
+
+# --- fleets: their runs are forks of a server that has imported most modules, which saves this time in each -----------
+
+_FORKS = multiprocessing.get_context("forkserver")
+_FORKS.set_forkserver_preload(["p2o_fleet.run", "p2o.run.pipeline", "distributed"])
 
 
 @dataclass
-class Tally:
-    """What came of it: `kills` by signal, how many of them fell among the rows, and every broken promise."""
+class Fork:
+    """A function in a process of its own group."""
 
-    kills: Counter[str] = field(default_factory=Counter)
-    among_rows: int = 0
-    studies: int = 0
-    rows: int = 0
-    broken: list[str] = field(default_factory=list)
+    process: Any
 
-    def __str__(self) -> str:
-        how = ", ".join(f"{count} by {name}" for name, count in sorted(self.kills.items()))
-        head = (
-            f"{self.kills.total()} kills ({how}), {self.among_rows} of them among the rows; {self.studies} studies "
-            f"of {self.rows} rows came to their end; {len(self.broken)} conditions violated"
-        )
-        return "\n".join([head, *(f"  {line}" for line in self.broken)])
+    @classmethod
+    def start(cls, work: Callable[..., object], *arguments: object) -> Fork:
+        """Start a function."""
+        process = _FORKS.Process(target=_grouped, args=(work, *arguments))
+        process.start()
+        return cls(process)
 
+    @property
+    def pid(self) -> int:
+        return int(self.process.pid)
 
-@dataclass(frozen=True)
-class Pace:
-    """How long a study takes to come to its first row, and for every further one."""
+    def poll(self) -> int | None:
+        status: int | None = self.process.exitcode
+        return status
 
-    start_s: float
-    row_s: float
-
-
-def campaign(kills: int, seed: int, home: Path, *, scenes: int = 3, seeds: int = 4, report: bool = False) -> Tally:
-    """Kill a study of `scenes` frames and `seeds` starts so often, in folders of `home`, and return what came of it."""
-    rng, tally = random.Random(seed), Tally()
-    file = home / "kills.toml"
-    file.write_text(STUDY.format(scenes=scenes, seeds=seeds), encoding="utf-8")
-    pace, expected = _undisturbed(file, home / "undisturbed")
-    tally.rows = len(expected)
-    while tally.kills.total() < kills:
-        tally.studies += 1
-        jobs = 1 + tally.studies % 2
-        folder = home / f"study-{tally.studies}"
-        while _disturbed(file, folder, jobs, rng, pace, tally, expected, kills):
-            if report:
-                now = f"{len(_rows(folder))} of {tally.rows} rows, {len(tally.broken)} conditions violated"
-                lines = [f"{tally.kills.total()} kills, {now}", *tally.broken[-1:]]
-                print("\n  ".join(lines), file=sys.stderr, flush=True)
-        found = _rows(folder)
-        if found != expected:
-            tally.broken.append(f"{folder.name}: {_difference(found, expected)}")
-    return tally
+    def wait(self, timeout: float | None = None) -> int:
+        self.process.join(timeout)
+        return int(self.process.exitcode)
 
 
-def _disturbed(
-    file: Path,
-    folder: Path,
-    jobs: int,
-    rng: random.Random,
-    pace: Pace,
-    tally: Tally,
-    expected: Mapping[str, Row],
-    kills: int,
-) -> bool:
-    """Start a study, kill it, and judge what is left; False where it came to its end."""
-    before = _rows(folder)
-    number, everyone = rng.choice(_SIGNALS), rng.random() < 0.5
-    process = _start(file, folder, jobs)
-    # A third of the kills fall into starting, reading and planning, the others among the rows.
-    if tally.kills.total() >= kills:
-        status: int | None = process.wait()
-    elif rng.random() < 1 / 3:
-        status = _waited(process, rng.uniform(0.0, pace.start_s))
-    else:
-        while (status := process.poll()) is None and len(_rows(folder)) == len(before):
-            time.sleep(0.02)
-        status = _waited(process, rng.uniform(0.0, 4 * pace.row_s))
-    where = f"{folder.name}, kill {tally.kills.total() + 1} ({number.name} to {'all' if everyone else 'one'})"
-    if status is None:
-        there, heeds = _rows(folder), _heeds(process.pid)
-        (os.killpg if everyone else os.kill)(process.pid, number)
-        status = process.wait(600)
-        tally.kills[number.name] += 1
-        tally.among_rows += 0 < len(there) < len(expected)
-        # Shells say 130 of SIGINT, too: with it Python ends where an interrupt has met a text that it compiled.
-        tidy = {-number} if number is signal.SIGKILL or not heeds else {130, -signal.SIGINT}
-        if status not in tidy | {0, 130}:
-            tally.broken.append(f"{where}: exit status {status}")
-    else:
-        there = _rows(folder)
-        if status:
-            tally.broken.append(f"{where}: ended by itself with status {status}")
-    left = _left(process.pid)
-    if left:
-        tally.broken.append(f"{where}: {len(left)} processes are left")
-        os.killpg(process.pid, signal.SIGKILL)
-    now = _rows(folder)
-    lost = [key for key in before.keys() | there.keys() if key not in now]
-    changed = [key for key in now if now[key] != expected.get(key)]
-    for keys, what in ((lost, "lost"), (changed, "changed")):
-        if keys:
-            tally.broken.append(f"{where}: {len(keys)} rows {what}, such as {keys[0]}")
-    return len(now) < len(expected) and status != 0
+def _grouped(work: Callable[..., object], *arguments: object) -> None:
+    os.setsid()
+    silence = os.open(os.devnull, os.O_WRONLY)
+    for output in (1, 2):
+        os.dup2(silence, output)
+    work(*arguments)
 
 
-def _undisturbed(file: Path, folder: Path) -> tuple[Pace, dict[str, Row]]:
-    """Return how long an undisturbed study took to come to its first row and for each more, and its rows."""
-    began = time.monotonic()
-    process = _start(file, folder, jobs=1)
-    while process.poll() is None and not _rows(folder):
-        time.sleep(0.02)
-    start_s = time.monotonic() - began
-    if process.wait():
-        raise SystemExit("the undisturbed study did not succeed")
-    rows = _rows(folder)
-    return Pace(start_s, (time.monotonic() - began - start_s) / len(rows)), rows
+def _run_fleet(table: Path, folder: Path, workers: Workers) -> None:
+    settings = CheckSettings(1, 1, "depth/rings")
+    run_fleet(drives_of(str(table)), Store(folder), settings=settings, plugins=Plugins(), workers=workers)
 
 
-def _waited(process: subprocess.Popen[bytes], delay_s: float) -> int | None:
-    """Return the status of a process that ends in time, else None."""
-    try:
-        return process.wait(delay_s)
-    except subprocess.TimeoutExpired:
-        return None
+_FRAME = """camera:
+  model: PINHOLE
+  width: 160
+  height: 64
+  params: [100, 100, 80, 32]
+image: image.png
+cloud: cloud.npy
+depth: depth.npy
+truth: [[0, -1, 0, 0], [0, 0, -1, -0.1], [1, 0, 0, -0.3], [0, 0, 0, 1]]
+"""
 
 
-def _start(file: Path, folder: Path, jobs: int) -> subprocess.Popen[bytes]:
-    """Start the study in a session of its own, whose cache is in the folder."""
-    command = [sys.executable, "-m", "p2o", "ablate", str(file), "--out", str(folder), "--jobs", str(jobs), "--quiet"]
-    environ = {**os.environ, "P2O_CACHE": str(folder / "cache"), "OMP_NUM_THREADS": "1"}
-    nowhere = subprocess.DEVNULL
-    return subprocess.Popen(command, stdout=nowhere, stderr=nowhere, env=environ, start_new_session=True)
+def write_drives(folder: Path, count: int) -> Path:
+    """Write drives of one tiny frame without edges, whose check takes a fraction of a second; return their table."""
+    from PIL import Image
+
+    rows = ["vehicle,camera,lidar,data,extrinsic,time"]
+    for number in range(count):
+        frame = folder / f"drive-{number}" / "frame"
+        frame.mkdir(parents=True)
+        Image.new("RGB", (160, 64), (number % 256, 90, 90)).save(frame / "image.png")
+        angle = np.linspace(-0.5, 0.5, 200)
+        cloud = np.column_stack([10 * np.cos(angle), 10 * np.sin(angle), np.full(200, number / count)])
+        np.save(frame / "cloud.npy", cloud)
+        np.save(frame / "depth.npy", np.full((64, 160), 10.0, np.float32))
+        (frame / "frame.yaml").write_text(_FRAME)
+        rows.append(f"van-{number % 5},front,top,folder:{frame.parent},truth,{1767225600 + 3600 * number}")
+    table = folder / "drives.csv"
+    table.write_text("\n".join(rows) + "\n")
+    return table
 
 
-def _heeds(process: int) -> bool:
-    """Return whether a process is in the part of p2o that handles signals; False if that cannot be determined."""
-    try:
-        status = Path(f"/proc/{process}/status").read_text()
-    except OSError:
-        return False
-    caught = next(line for line in status.splitlines() if line.startswith("SigCgt:"))
-    return bool(int(caught.split()[1], 16) >> (signal.SIGTERM - 1) & 1)
+class Fleet(Subject):
+    """A fleet of five vehicles with `count` small drives in `home`."""
+
+    def __init__(self, home: Path, count: int = 40) -> None:
+        self.count, self.table = count, write_drives(home, count)
+
+    def start(self, folder: Path, number: int) -> list[Process]:
+        """Start one run, in every third folder two."""
+        return [self.run(folder, Workers()) for _ in range(1 + (number % 3 == 0))]
+
+    def run(self, folder: Path, workers: Workers) -> Fork:
+        """Start a run."""
+        return Fork.start(_run_fleet, self.table, folder, workers)
+
+    def finished(self, folder: Path) -> dict[str, object]:
+        """Return the keys of the stored checks."""
+        checks = Store(folder).checks() if (folder / "checks").exists() else ()
+        return {str(key): None for each in checks for key in each.texts["key"]}
+
+    def faults(self, folder: Path) -> list[str]:
+        """Return what is wrong with a folder after a last run that is not disturbed."""
+        self.run(folder, Workers()).wait(600)
+        checks = list(Store(folder).checks())
+        counts = {each.vehicle: len(each) for each in checks}
+        expected = {f"van-{vehicle}": self.count // 5 for vehicle in range(5)}
+        unreadable = sum(int((each.texts["verdict"] == Verdict.UNREADABLE.value).sum()) for each in checks)
+        journals = list((folder / "journal").glob("*.jsonl"))
+        faults = {
+            f"checks by vehicle are {counts}": counts != expected,
+            f"{unreadable} drives are unreadable": unreadable,
+            f"{len(journals)} journals are left": journals,
+        }
+        return [fault for fault, exists in faults.items() if exists]
 
 
-def _rows(folder: Path) -> dict[str, Row]:
-    """Return the finished rows of a store by key, without what takes time; raises where the store is damaged."""
-    if not (folder / "study.sqlite").exists():
-        return {}
-    connection = sqlite3.connect(folder / "study.sqlite", timeout=60)
-    try:
-        if connection.execute("pragma integrity_check").fetchall() != [("ok",)]:
-            raise SystemExit(f"{folder}: the store is damaged")
-        names = [name for _, name, *_ in connection.execute("pragma table_info(runs)")]
-        kept = [name for name in names if name not in _TAKES_TIME]
-        query = f"select {', '.join(kept)} from runs where status != 'stage-failed'" if kept else "select 1 where 0"
-        return {str(row[0]): row for row in connection.execute(query)}
-    finally:
-        connection.close()
+class FleetOnCluster(Fleet):
+    """A fleet that is checked on a dask cluster: a scheduler and two workers are killed, and the run."""
+
+    SIGNALS: ClassVar = (signal.SIGKILL,)
+
+    def __init__(self, home: Path, count: int = 40) -> None:
+        super().__init__(home, count)
+        self.address, self.processes = "", dict[str, Fork]()
+
+    def start(self, folder: Path, number: int) -> list[Process]:
+        """Start the missing processes; without a scheduler all of them."""
+        running = {name: process for name, process in self.processes.items() if process.poll() is None}
+        if "scheduler" not in running:
+            for process in running.values():
+                kill(process)
+            with socket.socket() as free:
+                free.bind(("127.0.0.1", 0))
+                port = free.getsockname()[1]
+            self.address = f"tcp://127.0.0.1:{port}"
+            words = ["--host", "127.0.0.1", "--port", str(port), "--no-dashboard"]
+            running = {"scheduler": Fork.start(_dask, "scheduler", words)}
+        for name in ("worker 1", "worker 2"):
+            if name not in running:
+                words = [self.address, "--nthreads", "1", "--no-nanny", "--no-dashboard"]
+                running[name] = Fork.start(_dask, "worker", words)
+        if "run" not in running:
+            running["run"] = self.run(folder, Workers(1, "dask", self.address))
+        self.processes = running
+        return [running["run"]]
+
+    def victims(self, processes: list[Process], rng: random.Random) -> dict[str, Process]:
+        """Return one process; a run whose scheduler is killed ends with an error, or is killed by the next start."""
+        name = rng.choice(("worker 1", "worker 2", "scheduler", "run"))
+        return {} if _ended(processes) else {name: self.processes[name]}
+
+    def faults(self, folder: Path) -> list[str]:
+        """Return what is wrong with a folder after a last run that is not disturbed."""
+        self.close()
+        return super().faults(folder)
+
+    def close(self) -> None:
+        """Kill all processes."""
+        for process in self.processes.values():
+            kill(process)
+        self.processes = {}
 
 
-def _difference(found: Mapping[str, Row], expected: Mapping[str, Row]) -> str:
-    keys = [key for key in expected.keys() | found.keys() if found.get(key) != expected.get(key)]
-    return f"{len(keys)} rows of {len(expected)} differ in the end, such as {keys[0]}"
+def _dask(kind: str, words: list[str]) -> None:
+    """Run `dask scheduler` or `dask worker` in this process."""
+    from distributed.cli import dask_scheduler, dask_worker
+
+    {"scheduler": dask_scheduler, "worker": dask_worker}[kind].main(words, standalone_mode=False)
 
 
-def _left(session: int) -> list[str]:
-    """Return the processes of a session that do not end; none if they cannot be listed."""
-    until = time.monotonic() + _LEAVE_S
-    while (alive := _alive(session)) and time.monotonic() < until:
-        time.sleep(0.1)
-    return alive
+SUBJECTS = {"study": StudyOfStreets, "fleet": Fleet, "cluster": FleetOnCluster}
 
 
-def _alive(session: int) -> list[str]:
-    found = []
-    for file in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            state, _, _, own, *_ = file.read_text().rpartition(")")[2].split()
-        except (OSError, ValueError):  # it has ended meanwhile
-            continue
-        if own == str(session) and state not in "ZX":
-            found.append(file.parent.name)
-    return found
-
-
-def main(argv: Sequence[str] | None = None) -> int:
+def main() -> int:
+    """Kill, and print the outcome."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("subject", choices=SUBJECTS)
     parser.add_argument("--kills", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--scenes", type=int, default=3, help="frames of the study")
-    parser.add_argument("--starts", type=int, default=4, help="starts of each frame")
-    parser.add_argument("--quiet", action="store_true", help="the last line only")
-    words = parser.parse_args(argv)
+    options = parser.parse_args()
     with tempfile.TemporaryDirectory() as home:
-        tally = campaign(
-            words.kills, words.seed, Path(home), scenes=words.scenes, seeds=words.starts, report=not words.quiet
-        )
+        tally = campaign(SUBJECTS[options.subject](Path(home)), options.kills, options.seed, Path(home))
     print(tally)
     return 1 if tally.broken else 0
 

@@ -3,13 +3,13 @@
     python benchmarks/scaling.py measure [--workers 1 2 4] [--rows 200] [--keep FILE]     # this machine
     python benchmarks/scaling.py plan FILE [--rows 1000000]                               # a simulated scheduler
 
-`measure` runs a study of single synthetic frames from many starts (features kept beforehand, so that rows are
-calibrations alone) with N processes, and with N local dask workers where dask is installed, each into a
-store of its own. Printed are rows a minute, and what a row costs the process that hands it out: planning, asking the
-store, pickling the job, handing it to a backend and taking it back (jobs that do nothing), and writing the row. `plan`
-takes these times: one scheduler serves every row twice, before and after a worker is busy with it for one of the
-measured times of rows, in the order of arrival. It prints rows a minute and how busy the scheduler is against the
-number of workers, and the other needs of a million rows: bytes of plan, of store and of features read.
+`measure` runs a study of single synthetic frames from many initial guesses (features are extracted before, so that rows
+are calibrations alone) with N processes, and with N local dask workers where dask is installed, each into a folder of
+its own. Printed are rows a minute, and the processor time of the process that distributes the rows for each of them:
+planning, sending it to a worker, receiving and writing it, and polling. `plan` takes these times: one scheduler serves
+every row twice, before and after a worker computes it in one of the measured times of rows, in the order of arrival. It
+prints rows a minute and the load of the scheduler against the number of workers, and the other needs of a million rows:
+bytes on disk, and bytes of features that workers read.
 """
 
 from __future__ import annotations
@@ -17,89 +17,68 @@ from __future__ import annotations
 import argparse
 import heapq
 import json
-import pickle
 import statistics
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from common import STUDY, table
 from p2o import P2OError, Registry
-from p2o.cache import FeatureCache, content_hash
-from p2o_study import worker
+from p2o.cache import FeatureCache
 from p2o_study.ablate import ablate
 from p2o_study.parallel import Workers
-from p2o_study.store import FILE, Store, StoredRow
 from p2o_study.study import find_study
 
-FRAMES, BARE_JOBS = 4, 400
-STUDY = """
-name = "scaling"
-title = "Rows a minute"
-perturb = "1deg 0.05m"
-seeds = {seeds}
-
-[[dataset]]
-name = "streets"
-data = "synthetic:"
-options = {{ scenes = {frames}, width_px = 621, height_px = 188, right = false }}
-
-[defaults]
+FRAMES = 4
+DATA = f"synthetic:?scenes={FRAMES}&width_px=621&height_px=188&right=false"
+ROW = """[[row]]
+label = "ogm"
 extractor = "depth/rings"
 matcher = "ogm"
 solver = "lm"
 init = "search"
-
-[[row]]
-label = "ogm"
 """
 LINK_BYTES_PER_S = 1.25e9
-"""A file server on a link of ten gigabit a second, which `plan` takes for where features and the store lie."""
+"""A file server on a link of ten gigabit a second, which `plan` assumes for features and rows."""
+_SETTLED = 200_000
+"""Number of simulated rows: the rate is constant after a few thousand."""
 
 
 @dataclass(frozen=True)
 class Speed:
-    """Rows per minute with N workers of a backend, with and without planning and start of workers."""
+    """Rows per minute with N workers of a backend, with and without planning and start of workers.
+
+    `served_s` are processor seconds of the distributing process per row, after the first quarter of the rows.
+    """
 
     backend: str
     workers: int
     rows_a_minute: float
     rows_a_minute_once_running: float
+    served_s: float
 
 
 @dataclass(frozen=True)
 class Costs:
-    """What `measure` finds: seconds and bytes of a row, and rows a minute as they were.
-
-    `row_s` are times of rows in a worker; `plan_s` to `put_s` are spent in the process that hands rows out, `hand_s` by
-    backend. `row_bytes` is what a row adds to the store, `plan_bytes` what a planned one holds in memory, `job_bytes`
-    and `done_bytes` what goes to a worker and comes back, `feature_bytes` what a worker reads of a new frame.
-    """
+    """Seconds of rows in a worker, bytes that a row adds to the folder, bytes of features of a frame, and speeds."""
 
     row_s: tuple[float, ...]
-    plan_s: float
-    plan_bytes: float
-    ask_s: float
-    put_s: float
-    pickle_s: float
-    hand_s: dict[str, float]
-    job_bytes: int
-    done_bytes: int
     row_bytes: float
     feature_bytes: float
     speeds: tuple[Speed, ...]
 
-    def served_s(self, backend: str) -> float:
-        """Return for how long the process that hands rows out is busy with each."""
-        return self.ask_s + self.put_s + self.pickle_s + self.hand_s[backend]
+    @property
+    def served_s(self) -> dict[str, float]:
+        """Processor seconds of the distributing process per row, by backend, with most workers."""
+        return {speed.backend: speed.served_s for speed in self.speeds[1:]}
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a simulated scheduler comes to: rows a minute, and shares of time that it and its workers are busy."""
+    """The outcome of a simulated scheduler: rows a minute, and shares of time that it and its workers are busy."""
 
     rows_a_minute: float
     scheduler_busy: float
@@ -109,83 +88,53 @@ class Outcome:
 def simulated(rows: int, workers: int, row_s: Sequence[float], served_s: float, seed: int = 0) -> Outcome:
     """Return the simulated throughput of one scheduler with N workers and M rows.
 
-    The scheduler does one thing at a time, first come first served: half of `served_s` before a row goes out, half when
-    it is back. Times of rows are drawn from `row_s`.
+    The scheduler does one thing at a time, first come first served: half of `served_s` before it sends a row, half when
+    it receives one. Times of rows are drawn from `row_s`.
     """
     times = np.random.default_rng(seed).choice(np.asarray(row_s, float), rows)
-    half, free, out, back = served_s / 2, 0.0, 0, 0
-    asks: list[tuple[float, int]] = [(0.0, 0)] * min(workers, rows)
+    half, free, sent, received = served_s / 2, 0.0, 0, 0
+    requests: list[tuple[float, int]] = [(0.0, 0)] * min(workers, rows)
     """(when, 1 if a row comes back): a worker without a row asks for one."""
-    heapq.heapify(asks)
-    while back < rows:
-        when, returned = heapq.heappop(asks)
+    heapq.heapify(requests)
+    while received < rows:
+        when, returned = heapq.heappop(requests)
         free = max(free, when)
         if returned:
             free += half
-            back += 1
-        if out < rows:
+            received += 1
+        if sent < rows:
             free += half
-            heapq.heappush(asks, (free + times[out], 1))
-            out += 1
+            heapq.heappush(requests, (free + times[sent], 1))
+            sent += 1
     return Outcome(60 * rows / free, rows * served_s / free, float(times.sum()) / (workers * free))
 
 
-def bare(job: int) -> int:
-    """Return the job: what a backend costs that has nothing to do."""
-    return job
-
-
-def hand_s(workers: Workers) -> float:
-    """Return the seconds that an empty job costs its scheduler, once workers run."""
-
-    def lost(job: Any, problem: P2OError) -> Any:
-        raise problem
-
-    with workers.start() as run:
-        list(run(bare, range(20), lost))
-        began = time.perf_counter()
-        list(run(bare, range(BARE_JOBS), lost))
-        return (time.perf_counter() - began) / BARE_JOBS
-
-
-def speed(name: str, workers: Workers, rows: int, cache: FeatureCache) -> tuple[Speed, list[StoredRow], int]:
-    """Return how fast a study runs, its rows, and the size of its store in bytes."""
-    arrived: list[float] = []
+def speed(name: str, workers: Workers, rows: int, cache: FeatureCache) -> tuple[Speed, list[float], float]:
+    """Return the speed of a study, the seconds of its rows without extraction, and their size in bytes."""
+    arrived: list[tuple[float, float]] = []
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "scaling.toml"
-        file.write_text(STUDY.format(frames=FRAMES, seeds=rows // FRAMES))
-        study = find_study(str(file), Registry.load())
+        file.write_text(STUDY.format(name="scaling", seeds=rows // FRAMES, data=DATA) + ROW)
+
+        def on_progress(progress: object) -> None:
+            if getattr(progress, "phase", "") == "calibrate":
+                arrived.append((time.perf_counter(), time.process_time()))
+
         began = time.perf_counter()
         done = ablate(
-            study,
-            folder,
-            workers=workers,
-            cache=cache,
-            on_progress=lambda p: arrived.append(time.perf_counter()) if p.phase == "calibrate" else None,
-        )
-        whole = time.perf_counter() - began
-        size = sum(path.stat().st_size for path in Path(folder).glob(FILE + "*"))
-    running = arrived[-1] - arrived[len(arrived) // 4]
-    share = len(arrived) - 1 - len(arrived) // 4
-    return (
-        Speed(name, workers.jobs, 60 * len(done.rows) / whole, 60 * share / running),
-        list(done.rows),
-        size,
-    )
-
-
-def per_call(work: Callable[[], Any], times: int) -> float:
-    """Return the median seconds of a call."""
-    took = []
-    for _ in range(times):
-        began = time.perf_counter()
-        work()
-        took.append(time.perf_counter() - began)
-    return statistics.median(took)
+            find_study(str(file), Registry.load()), folder, workers=workers, cache=cache, on_progress=on_progress
+        ).rows
+        total = time.perf_counter() - began
+        size = sum(path.stat().st_size for path in Path(folder).iterdir()) / len(done)
+        row_s = [sum(seconds for stage, seconds in row.seconds.items() if stage != "extract") for row in done]
+    first = len(arrived) // 4
+    count = len(arrived) - 1 - first
+    wall_s, cpu_s = np.subtract(arrived[-1], arrived[first])
+    return Speed(name, workers.jobs, 60 * len(done) / total, 60 * count / wall_s, cpu_s / count), row_s, size
 
 
 def backends() -> Iterator[str]:
-    """Yield the backends that are installed, but for ray."""
+    """Yield the backends that are installed, without ray."""
     yield "loky"
     try:
         Workers(1, "dask")
@@ -196,93 +145,50 @@ def backends() -> Iterator[str]:
 
 def measure(counts: Sequence[int], rows: int) -> Costs:
     """Return what rows cost on this machine; each number of workers on every backend."""
-    with tempfile.TemporaryDirectory() as kept:
-        cache = FeatureCache(Path(kept))
-        first, done, size = speed("in this process", Workers(1), rows, cache)
-        # Extraction is in a row's seconds by what it once took; the rows here find it done.
-        row_s = [sum(v for k, v in row.seconds.items() if k != "extract") for row in done]
-        features = sum(path.stat().st_size for path in Path(kept).rglob("*") if path.is_file()) / FRAMES
+    with tempfile.TemporaryDirectory() as folder:
+        cache = FeatureCache(Path(folder))
+        first, row_s, size = speed("in this process", Workers(1), rows, cache)
+        features = sum(path.stat().st_size for path in Path(folder).rglob("*") if path.is_file()) / FRAMES
         speeds = [first]
         for backend in backends():
             for count in counts:
-                if backend == "loky" and count == 1:
-                    continue
-                speeds.append(speed(backend, Workers(count, backend), rows, cache)[0])  # type: ignore[arg-type]
-        row = done[0]
-        with tempfile.TemporaryDirectory() as folder, Store.open(folder) as store:
-            keys = iter(str(number) for number in range(10**9))
-            put_s = per_call(lambda: store.put(replace(row, key=next(keys))), 200)
-            ask_s = per_call(lambda: store.finished([next(keys)]), 200)
-        facts = worker.FrameRecord(
-            worker.Source(worker.Plugins(), "synthetic:", "{}", 0, row.place), row.inputs[row.frames[0]]
-        )
-        job = worker.CalibrateJob(row, json.dumps(row.recipe), (facts,), Path(kept), ({"image": "0" * 64},))
-        sent, back = pickle.dumps(job), pickle.dumps(row)
-        pickle_s = per_call(lambda: pickle.dumps(job), 200) + per_call(lambda: pickle.loads(back), 200)  # noqa: S301 (our own)
-        plan_s = per_call(lambda: content_hash({"method": row.key, "start": row.start, "truth": row.truth}), 200)
-    return Costs(
-        tuple(row_s),
-        plan_s,
-        float(len(pickle.dumps(facts)) + len(pickle.dumps(_planned(row)))),
-        ask_s,
-        put_s,
-        pickle_s,
-        {name: hand_s(Workers(max(counts), name)) for name in backends()},  # type: ignore[arg-type]
-        len(sent),
-        len(back),
-        size / len(done),
-        features,
-        tuple(speeds),
+                if backend != "loky" or count > 1:
+                    workers = Workers(count, backend)  # type: ignore[arg-type]
+                    speeds.append(speed(backend, workers, rows, cache)[0])
+    return Costs(tuple(row_s), size, features, tuple(speeds))
+
+
+def measured(costs: Costs) -> str:
+    """Return the measurements, and the prediction of the simulated scheduler for the same workers."""
+    lines = []
+    for each in costs.speeds:
+        served = costs.served_s.get(each.backend, 0.0)
+        rate = simulated(20_000, each.workers, costs.row_s, served).rows_a_minute
+        rates = (each.rows_a_minute, each.rows_a_minute_once_running, rate)
+        lines.append((each.backend, each.workers, *(f"{value:.0f}" for value in rates)))
+    served = ", ".join(f"{name} {1e3 * value:.2f}" for name, value in costs.served_s.items())
+    return (
+        f"{table(('backend', 'workers', 'rows a minute, all in', 'once running', 'simulated'), lines)}\n\n"
+        f"a row: {statistics.median(costs.row_s):.3f} s in a worker (median); ms of the distributing process: "
+        f"{served}; {costs.row_bytes:.0f} bytes on disk; {costs.feature_bytes:.0f} bytes of features of a frame"
     )
 
 
-def _planned(row: StoredRow) -> tuple[str, ...]:
-    return (row.key, row.study, row.row, row.section, row.dataset, row.place)
-
-
-def print_measured(costs: Costs) -> None:
-    """Print the measurements, and the prediction of the simulated scheduler for the same workers."""
-    print("| backend | workers | rows a minute, all in | once running | simulated |")
-    print("|---|---|---|---|---|")
-    for one in costs.speeds:
-        backend = one.backend if one.backend in costs.hand_s else "loky"
-        served = costs.served_s(backend) if one.backend in costs.hand_s else costs.ask_s + costs.put_s
-        told = simulated(20_000, one.workers, costs.row_s, served).rows_a_minute
-        print(
-            f"| {one.backend} | {one.workers} | {one.rows_a_minute:.0f} | {one.rows_a_minute_once_running:.0f} "
-            f"| {told:.0f} |"
-        )
-    handed = ", ".join(f"{name} {1e3 * value:.2f}" for name, value in costs.hand_s.items())
-    print(
-        f"\na row: {statistics.median(costs.row_s):.3f} s in a worker (median); ms of the process that hands rows out: "
-        f"planning {1e3 * costs.plan_s:.3f}, asking the store {1e3 * costs.ask_s:.3f}, pickling "
-        f"{1e3 * costs.pickle_s:.3f}, handing out and taking back {handed}, writing {1e3 * costs.put_s:.3f}; bytes: "
-        f"{costs.job_bytes} sent, {costs.done_bytes} back, {costs.row_bytes:.0f} in the store, "
-        f"{costs.feature_bytes:.0f} of features of a frame"
-    )
-
-
-def print_plan(costs: Costs, rows: int) -> None:
-    """Print the prediction of the simulated scheduler for N rows, and their other needs."""
-    tried = min(rows, 200_000)  # as good as more: it settles within a few thousand rows
-    for backend in costs.hand_s:
-        print(f"\n{backend}: {1e3 * costs.served_s(backend):.2f} ms of the scheduler for each row\n")
-        print(
-            "| workers | rows a minute | scheduler busy | workers busy | the rows take | bytes of features a second |"
-        )
-        print("|---|---|---|---|---|---|")
+def plan(costs: Costs, rows: int) -> str:
+    """Return the prediction of the simulated scheduler for N rows, and their other needs."""
+    parts = []
+    head = ("workers", "rows a minute", "scheduler busy", "workers busy", "the rows take", "bytes of features a second")
+    for backend, served_s in costs.served_s.items():
+        lines = []
         for workers in (1, 2, 10, 100, 300, 1000, 3000):
-            found = simulated(tried, workers, costs.row_s, costs.served_s(backend))
-            hours = rows / found.rows_a_minute / 60
-            read = found.rows_a_minute / 60 * costs.feature_bytes
-            print(
-                f"| {workers} | {found.rows_a_minute:.0f} | {found.scheduler_busy:.0%} | {found.workers_busy:.0%} "
-                f"| {hours:.1f} h | {read:.1e} ({read / LINK_BYTES_PER_S:.1%} of ten gigabit) |"
-            )
-    print(
-        f"\n{rows} rows: planning {rows * costs.plan_s / 60:.1f} min in one process, a plan of at least "
-        f"{rows * costs.plan_bytes / 1e9:.1f} GB in its memory, a store of {rows * costs.row_bytes / 1e9:.1f} GB"
-    )
+            outcome = simulated(min(rows, _SETTLED), workers, costs.row_s, served_s)
+            rate = outcome.rows_a_minute
+            read = rate / 60 * costs.feature_bytes
+            busy = (f"{outcome.scheduler_busy:.0%}", f"{outcome.workers_busy:.0%}")
+            link = f"{read:.1e} ({read / LINK_BYTES_PER_S:.1%} of ten gigabit)"
+            lines.append((workers, f"{rate:.0f}", *busy, f"{rows / rate / 60:.1f} h", link))
+        parts.append(f"{backend}: {1e3 * served_s:.2f} ms of the scheduler for each row\n\n{table(head, lines)}")
+    return "\n\n".join([*parts, f"{rows} rows: {rows * costs.row_bytes / 1e9:.1f} GB on disk"])
 
 
 def main() -> None:
@@ -296,16 +202,16 @@ def main() -> None:
     planning = commands.add_parser("plan")
     planning.add_argument("file", type=Path)
     planning.add_argument("--rows", type=int, default=1_000_000)
-    said = parser.parse_args()
-    if said.command == "measure":
-        costs = measure(said.workers, said.rows)
-        if said.keep is not None:
-            said.keep.write_text(json.dumps(asdict(costs)))
-        print_measured(costs)
+    options = parser.parse_args()
+    if options.command == "measure":
+        costs = measure(options.workers, options.rows)
+        if options.keep is not None:
+            options.keep.write_text(json.dumps(asdict(costs)))
+        print(measured(costs))
         return
-    kept = json.loads(said.file.read_text())
-    costs = Costs(**{**kept, "speeds": tuple(Speed(**one) for one in kept["speeds"])})
-    print_plan(costs, said.rows)
+    values = json.loads(options.file.read_text())
+    costs = Costs(**{**values, "speeds": tuple(Speed(**each) for each in values["speeds"])})
+    print(plan(costs, options.rows))
 
 
 if __name__ == "__main__":

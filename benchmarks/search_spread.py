@@ -1,6 +1,6 @@
 """Spread of single-frame results over seeds of the search: a result should not depend on random numbers.
 
-    python benchmarks/search_spread.py --root build/data --kept build/search-spread --seeds 10
+    python benchmarks/search_spread.py --seeds 10 --most 24
 
 Each frame is calibrated from one initial guess (2 deg, 15 cm) with several seeds of the initializer. The spread of a
 frame is the largest distance of its poses from their mean. KITTI raw frames are those of `train`.
@@ -13,55 +13,52 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from common import START_DEG, START_M
 from p2o.arrays import Float
 from p2o.geometry.perturb import wrong_start
 from p2o.geometry.pose_error import pose_error
 from p2o.run.rig_solve import mean_pose
-from verdict_rigs import RIGS, seen
+from rigs import Rig, rig_of
 
 LIMIT_DEG, LIMIT_M = 0.03, 0.01
+FEATURES = Path("build/search-spread")
+RIGS = ("kitti-raw", "kitti-odometry", "waymo", "hitsz", "pjlab")
 
 
 def main() -> None:
-    """Print the spread of every frame, and its quantiles for each rig."""
+    """Print the quantiles of the spread of the frames of each rig."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--root", default="build/data", help="folder of the real frames")
-    parser.add_argument("--kept", type=Path, default=Path("build/search-spread"), help="folder of extracted features")
-    parser.add_argument("--splits", default="benchmarks/splits.json", help="file of the splits")
-    parser.add_argument("--rigs", nargs="+", default=["kitti-raw", "kitti-odometry", "waymo", "hitsz", "pjlab"])
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--most", type=int, help="frames of each rig, evenly chosen")
-    parser.add_argument("--frames", action="store_true", help="print every frame")
     options = parser.parse_args()
-    for name in options.rigs:
-        rig = next(rig for rig in RIGS if rig.name == name)
-        rig = replace(rig, data=rig.data.replace("build/data", options.root))
-        plans = [replace(rig, options={**rig.options, "init": {"seed": seed}}).plan for seed in range(options.seeds)]
-        pipelines = [plan.calibrator() for plan in plans]
-        rows = []
-        for number, frame in enumerate(seen(rig, options.kept, options.splits, most=options.most)):
-            start = wrong_start(frame.truth, 2.0, 0.15, np.random.default_rng(number))
-            results = [pipeline.solve([frame.view], start) for pipeline in pipelines]
-            mean = mean_pose([result.camera_from_lidar for result in results])
-            away = [pose_error(result.camera_from_lidar, mean) for result in results]
-            largest = np.array([max(e.rotation_deg for e in away), max(e.translation_m for e in away)])
-            within = [
-                (e.rotation_deg <= r.accuracy.rotation_deg_95, e.translation_m <= r.accuracy.translation_m_95)
-                for e, r in zip(away, results, strict=True)
-                if r.accuracy is not None
-            ]
-            trusted = np.mean([result.verdict.trusted for result in results])
-            rows.append([*largest, trusted, float(np.all(within))])
-            if options.frames:
-                text = f"{largest[0]:.3f} deg {100 * largest[1]:.1f} cm, trusted {100 * trusted:.0f} %"
-                print(f"  {frame.view.name:40} {text}", flush=True)
-        table = np.array(rows)
-        print(_line(f"{name}, all", table))
-        print(_line(f"{name}, trusted", table[table[:, 2] > 0]), flush=True)
+    for name in RIGS:
+        rows = spreads(rig_of(name), options.seeds, options.most)
+        print(_line(f"{name}, all", rows))
+        print(_line(f"{name}, trusted", rows[rows[:, 2] > 0]), flush=True)
+
+
+def spreads(rig: Rig, seeds: int, most: int | None) -> Float:
+    """Return for each frame (N, 4) the largest distances in deg and m, share of trusted results, all within 95 %."""
+    plans = [replace(rig, options={**rig.options, "init": {"seed": seed}}).plan for seed in range(seeds)]
+    pipelines, rows = [plan.calibrator() for plan in plans], []
+    for number, frame in enumerate(rig.samples(FEATURES, most)):
+        start = wrong_start(frame.truth, START_DEG, START_M, np.random.default_rng(number))
+        results = [pipeline.solve([frame.view], start) for pipeline in pipelines]
+        mean = mean_pose([result.camera_from_lidar for result in results])
+        errors = [pose_error(result.camera_from_lidar, mean) for result in results]
+        within = [
+            e.rotation_deg <= r.accuracy.rotation_deg_95 and e.translation_m <= r.accuracy.translation_m_95
+            for e, r in zip(errors, results, strict=True)
+            if r.accuracy is not None
+        ]
+        trusted = np.mean([result.verdict.trusted for result in results])
+        largest = max(e.rotation_deg for e in errors), max(e.translation_m for e in errors)
+        rows.append([*largest, trusted, float(all(within))])
+    return np.array(rows)
 
 
 def _line(name: str, rows: Float) -> str:
-    """Return the figures of frames (N, 4): largest distances in deg and m, share of trusted results, within 95 %."""
+    """Return the figures of the frames (N, 4) of `spreads`."""
     if not len(rows):
         return f"{name:24}   0 frames"
     near = np.mean((rows[:, 0] < LIMIT_DEG) & (rows[:, 1] < LIMIT_M))

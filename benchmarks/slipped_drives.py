@@ -70,7 +70,7 @@ def slipped(frame: p2o.Frame, axis: int, size: float) -> p2o.Frame:
     return replace(
         frame,
         cloud=cloud,
-        image=frame.image if axis > 2 else _seen_after(turn[:3, :3], frame.image),
+        image=frame.image if axis > 2 else _image_after(turn[:3, :3], frame.image),
         sweep=None,
         twist=_turned(new_from_old, frame.twist),
         lidar_world_from_lidar=None if world is None else world @ se3.inverse(new_from_old),
@@ -78,7 +78,7 @@ def slipped(frame: p2o.Frame, axis: int, size: float) -> p2o.Frame:
     )
 
 
-def _seen_after(turn: Float, image: Image) -> Image:
+def _image_after(turn: Float, image: Image) -> Image:
     """Return the image of a camera that has turned (3, 3) about its centre; the border is repeated."""
     camera = image.camera
     if not camera.is_pinhole:

@@ -1,10 +1,12 @@
-"""Measure the structure of the code: lines per package, rooms of the toolkit, imports between them, longest functions.
+"""Measure the repository: lines per package, words of docs, rooms and imports of the toolkit, longest functions.
 
     python benchmarks/structure.py            this tree
     python benchmarks/structure.py PATH       another checkout
 
-Rooms are the folders and modules directly in toolkit/p2o, without the public modules `p2o`, `p2o.solving` and
-`p2o.reading`. An arrow is a pair of rooms of which the first imports the second, anywhere in its files.
+Lines are those of Python files, words those of Markdown pages in docs/, rows the files of benchmarks/results. Rooms are
+the folders and modules directly in toolkit/p2o, without the public modules `p2o`, `p2o.solving` and `p2o.reading`. An
+arrow is a pair of rooms of which the first imports the second, anywhere in its files; a package is in a circle if it
+imports itself through others.
 """
 
 from __future__ import annotations
@@ -14,38 +16,55 @@ import json
 import re
 import subprocess
 import sys
-from collections import Counter
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 PACKAGES = ("toolkit", "plugins", "baselines")
 PUBLIC = {"__init__", "__main__", "solving", "reading"}
 
 
-def sources(root: Path) -> list[Path]:
-    """Return the Python files of the product."""
-    return sorted(path for package in PACKAGES for path in (root / package).rglob("*.py"))
+def lines(paths: Iterable[Path]) -> int:
+    """Return the number of lines of files, as `wc -l`."""
+    return sum(path.read_bytes().count(b"\n") for path in paths)
+
+
+def imported(path: Path) -> Iterator[list[str]]:
+    """Yield the parts of the dotted names that a file imports: `from p2o import se3` names p2o.se3."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name.split(".") for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            parts = node.module.split(".")
+            yield from ([*parts, alias.name] if len(parts) == 1 else parts for alias in node.names)
 
 
 def arrows(core: Path) -> tuple[set[str], set[tuple[str, str]]]:
     """Return the rooms of the toolkit and the pairs (room, imported room)."""
-    rooms: set[str] = set()
-    pairs: set[tuple[str, str]] = set()
-    for path in core.rglob("*.py"):
-        room = path.relative_to(core).parts[0].removesuffix(".py")
-        if room in PUBLIC:
-            continue
-        rooms.add(room)
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            names: list[str] = []
-            if isinstance(node, ast.Import):
-                names = [alias.name for alias in node.names]
-            elif isinstance(node, ast.ImportFrom) and node.module:
-                names = [f"p2o.{a.name}" for a in node.names] if node.module == "p2o" else [node.module]
-            for name in names:
-                parts = name.split(".")
-                if parts[0] == "p2o" and len(parts) > 1 and parts[1] != room:
-                    pairs.add((room, parts[1]))
-    return rooms, {pair for pair in pairs if pair[1] in rooms}
+    files = {path: path.relative_to(core).parts[0].removesuffix(".py") for path in core.rglob("*.py")}
+    rooms = set(files.values()) - PUBLIC
+    pairs = {
+        (room, parts[1])
+        for path, room in files.items()
+        if room in rooms
+        for parts in imported(path)
+        if parts[0] == "p2o" and len(parts) > 1 and parts[1] in rooms - {room}
+    }
+    return rooms, pairs
+
+
+def circle(roots: Iterable[Path]) -> list[str]:
+    """Return the packages that import themselves through others."""
+    imports: dict[str, set[str]] = defaultdict(set)
+    packages = {folder.name: folder for root in roots for folder in root.iterdir() if (folder / "__init__.py").exists()}
+    for name, folder in packages.items():
+        imports[name] = {parts[0] for path in folder.rglob("*.py") for parts in imported(path)} & packages.keys() - {
+            name
+        }
+    for _ in packages:
+        for name in packages:
+            imports[name] |= {far for near in set(imports[name]) for far in imports[near]}
+    return sorted(name for name in packages if name in imports[name])
 
 
 def longest_function(paths: list[Path]) -> tuple[int, str]:
@@ -64,21 +83,31 @@ def most_complex(root: Path) -> tuple[int, str]:
     command += ["--output-format", "json", "--exit-zero", *PACKAGES]
     ruff = Path(sys.executable).with_name(command[0])
     done = subprocess.run([str(ruff), *command[1:]], cwd=root, capture_output=True, text=True, check=True)
-    found = (re.search(r"`(.+)` is too complex \((\d+)", row["message"]) for row in json.loads(done.stdout))
-    return max((int(match[2]), match[1]) for match in found if match)
+    matches = (re.search(r"`(.+)` is too complex \((\d+)", row["message"]) for row in json.loads(done.stdout))
+    return max((int(match[2]), match[1]) for match in matches if match)
 
 
 def main() -> None:
+    """Print the measurements."""
     root = Path(sys.argv[1] if len(sys.argv) > 1 else Path(__file__).parents[1]).resolve()
-    paths = sources(root)
-    lines = Counter[str]()
+    paths = sorted(path for package in PACKAGES for path in (root / package).rglob("*.py"))
+    counts = Counter[str]()
     for path in paths:
-        lines["/".join(path.relative_to(root).parts[:2])] += len(path.read_text(encoding="utf-8").splitlines())
-    for package, count in sorted(lines.items()):
-        print(f"{package:28} {count:7} lines")
-    print(f"{'in total':28} {lines.total():7} lines")
+        counts["/".join(path.relative_to(root).parts[:2])] += lines([path])
+    rows = sum(path.stat().st_size for path in (root / "benchmarks/results").glob("*.jsonl"))
+    words = sum(len(page.read_text(encoding="utf-8").split()) for page in (root / "docs").rglob("*.md"))
     rooms, pairs = arrows(root / "toolkit" / "p2o")
-    print(f"{'toolkit/p2o':28} {len(rooms):7} rooms, {len(pairs)} arrows")
+    for name, count, unit in [
+        *((package, count, "lines") for package, count in sorted(counts.items())),
+        ("product", counts.total(), "lines"),
+        ("tests", lines((root / "tests").rglob("*.py")), "lines"),
+        ("benchmarks/*.py", lines((root / "benchmarks").glob("*.py")), "lines"),
+        ("docs", words, "words"),
+        ("benchmarks/results", round(rows / 1e6), "MB of rows"),
+        ("toolkit/p2o", len(rooms), f"rooms, {len(pairs)} arrows"),
+    ]:
+        print(f"{name:28} {count:7} {unit}")
+    print(f"packages in a circle of imports: {', '.join(circle(root / package for package in PACKAGES)) or 'none'}")
     print("longest function: {} lines ({})".format(*longest_function(paths)))
     print("highest complexity: {} ({})".format(*most_complex(root)))
 

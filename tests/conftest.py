@@ -27,7 +27,6 @@ for _name in ("SIGINT", "SIGHUP"):
 SYSTEM = {
     "tests/baselines/test_rivals.py",
     "tests/baselines/test_table1.py",
-    "tests/benchmarks/test_fleet_kills.py",
     "tests/benchmarks/test_kills.py",
     "tests/fuzz/test_contract.py",
     "tests/fuzz/test_fuzz.py",

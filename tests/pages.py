@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-PROGRAMS = ("p2o", "python", "make", "pip", "cd", "jq", "time", "sqlite3")
+PROGRAMS = ("p2o", "python", "make", "pip", "cd", "jq", "time")
 """Words that begin a shell line of these pages."""
 
 LANGUAGES = ("sh", "python", "toml", "yaml", "text", "mermaid")

@@ -20,7 +20,7 @@ from typing import Any
 
 import pytest
 import yaml
-from fleet_kills import write_drives
+from kills import write_drives
 from p2o.cli import main
 from p2o_fleet.fleet_state import fleet_state
 from p2o_fleet.page import write_page

@@ -16,7 +16,6 @@ import json
 import re
 import runpy
 import shutil
-import sqlite3
 import subprocess
 import sys
 import tomllib
@@ -106,7 +105,6 @@ SMALLER = (
 """What is made smaller, so that a line takes a second or two."""
 
 NOT_EXECUTED = {
-    "import pandas": "pandas is not installed with p2o",
     'copytree("mine", "wrong")': "tests/test_tutorials.py runs it on recordings",
     'conformance_cases("my-distribution")': "there is no such distribution",
 }
@@ -190,8 +188,6 @@ def _run(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
             Path(command.target).write_text(said.out)
     elif program == "jq":
         _query(command)
-    elif program == "sqlite3":
-        _ask(command)
     else:
         raise AssertionError(f"{command}: nobody knows how to run it")
 
@@ -211,17 +207,6 @@ def _query(command: Command) -> None:
     keys = set(re.findall(r'"(\w+)":', file.read_text()))
     for name in re.findall(r"\.([a-z_]+)", words[-2]):
         assert name in keys, f"{command}: no {name} in the JSON of a run"
-
-
-def _ask(command: Command) -> None:
-    """Run a query on a store without rows."""
-    from p2o_study.store import FILE, Store
-
-    with Store.open("asked"):
-        pass
-    _, file, query = command.words
-    assert Path(file).name == FILE
-    sqlite3.connect(f"asked/{FILE}").execute(query)
 
 
 def _check(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:

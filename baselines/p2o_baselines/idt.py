@@ -16,9 +16,10 @@ Departures: the original sums X_i D(u_i), which favours poses that project more 
 number of points in view favours poses that lose the worst ones (on synthetic streets one of three initial errors of 1
 deg diverged to 3.6 deg). Therefore a point outside the image scores the mean of D, and the sum is divided by the weight
 of all points. At most 1000 points per frame are used, within 100 px of the image at the first pose of a round. The
-likelihoods of the authors are not published; ours are estimated from synthetic frames (`RIGHT`, `WRONG`; `python
-benchmarks/idt_likelihoods.py`). The original takes one step per frame indefinitely; `grid729` ends if no neighbour is
-better. Raw sweeps are compensated for the motion that the pipeline predicts or estimates.
+likelihoods of the authors are not published; ours are estimated from synthetic frames (`RIGHT`, `WRONG`;
+`benchmarks/idt_likelihoods.py` of the tag `experiments-0.2`). The original takes one step per frame indefinitely;
+`grid729` ends if no neighbour is better. Raw sweeps are compensated for the motion that the pipeline predicts or
+estimates.
 """
 
 from __future__ import annotations
@@ -71,7 +72,7 @@ class Likelihood(NamedTuple):
 
 
 RIGHT, WRONG = Likelihood(0.984, 0.030), Likelihood(0.560, 0.140)
-"""F of single simulated frames at the truth, and 1 deg and 0.1 m from it (`python benchmarks/idt_likelihoods.py`)."""
+"""F of single simulated frames at the truth, and 1 deg and 0.1 m from it (`idt_likelihoods.py`)."""
 
 
 def share_of_worse(problem: Problem, camera_from_lidar: Float, step_deg: float = 0.25, step_m: float = 0.025) -> float:

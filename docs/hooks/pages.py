@@ -55,13 +55,13 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
 def _linked(text: str, source: str, target: str) -> str:
     """Return a text whose links, relative to `source` in the repository, are relative to `target` on the site."""
 
-    def link(found: re.Match[str]) -> str:
-        meant = posixpath.normpath(posixpath.join(posixpath.dirname(source), found[2]))
+    def link(match: re.Match[str]) -> str:
+        meant = posixpath.normpath(posixpath.join(posixpath.dirname(source), match[2]))
         shown = FROM_ROOT.get(meant) or (meant.removeprefix("docs/") if meant.startswith("docs/") else None)
         if shown is None:
             # A file of the sources is named, but is no page; of others strict mode says that they are missing.
-            return found[1] if (ROOT / meant).is_file() else found[0]
-        return f"[{found[1]}]({posixpath.relpath(shown, posixpath.dirname(target) or '.')}{found[3] or ''})"
+            return match[1] if (ROOT / meant).is_file() else match[0]
+        return f"[{match[1]}]({posixpath.relpath(shown, posixpath.dirname(target) or '.')}{match[3] or ''})"
 
     return _LINK.sub(link, text)
 
@@ -84,9 +84,9 @@ def _spaced(text: str) -> str:
 
 def notebook(source: str) -> str:
     """Return the page of a notebook: its texts, and its code in blocks."""
-    held = json.loads((ROOT / "docs" / source).read_text(encoding="utf-8"))
+    content = json.loads((ROOT / "docs" / source).read_text(encoding="utf-8"))
     parts = []
-    for cell in held["cells"]:
+    for cell in content["cells"]:
         text = "".join(cell["source"])
         parts.append(f"```python\n{text}\n```" if cell["cell_type"] == "code" else text)
     title, _, rest = "\n\n".join(parts).partition("\n")
@@ -136,7 +136,7 @@ def methods() -> str:
                 "install": f"`pip install {requirement(offer)}`" if method.extra else "",
                 "source": _md(method.cite),
             }
-            text += [f"- {label}: {said}" for label, said in facts.items() if said]
+            text += [f"- {label}: {value}" for label, value in facts.items() if value]
             setting = SLOT_OF[offer.kind].setting(method.name, "NAME", "VALUE")
             text += ["", *_options(method.options, setting)]
             if method.trainer is not None:

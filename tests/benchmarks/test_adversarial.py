@@ -7,7 +7,7 @@ from dataclasses import replace
 import adversarial_cases as cases
 import numpy as np
 import pytest
-from adversarial import Row, table
+from adversarial import Row, tables
 from p2o_testing import stage
 
 GOOD = Row("rig", "unchanged", "", ("a",), "trusted", (), 0.2, 0.05, 0.5, 0.1)
@@ -31,7 +31,7 @@ def test_the_table_counts_false_accepts_and_false_refusals_by_kind() -> None:
     ]
     lines = {
         line.split("|")[1].strip(): [cell.strip() for cell in line.split("|")[2:-1]]
-        for line in table(rows).split("\n")
+        for line in tables(rows).split("\n")
         if line
     }
     assert lines["unchanged"][:5] == ["2 (1)", "1", "0 (0.0 %)", "0", "1 of 2"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from bench import Cost, differences, kept, machine, middle, table, to_keep
+from bench import Cost, compared, differences, middle
 
 
 def test_of_several_repeats_the_median_of_each_number_counts() -> None:
@@ -12,30 +12,25 @@ def test_of_several_repeats_the_median_of_each_number_counts() -> None:
 
 
 def test_rows_stand_beside_their_reference_with_ratios() -> None:
-    lines = table({"rings": Cost(0.02, 0.03, 150.4)}, {"rings": Cost(0.04, 0.03)}, "before").splitlines()
+    lines = compared({"rings": Cost(0.02, 0.03, 150.4)}, {"rings": Cost(0.04, 0.03)}, "before").splitlines()
     assert lines[0] == "|  | processor s | wall s | peak MiB | processor s, before | ratio | wall s, before | ratio |"
     assert lines[2] == "| rings | 0.020 | 0.030 | 150 | 0.040 | 0.50 | 0.030 | 1.00 |"
 
 
 def test_a_row_that_the_reference_lacks_has_no_ratio() -> None:
-    lines = table({"new": Cost(1.5, 2.0)}, {"old": Cost(1.0, 1.0)}, "before").splitlines()
+    lines = compared({"new": Cost(1.5, 2.0)}, {"old": Cost(1.0, 1.0)}, "before").splitlines()
     assert lines[2] == "| new | 1.50 | 2.00 |  |  |  |  |  |"
 
 
 def test_without_a_reference_there_are_no_ratios() -> None:
-    assert table({"rings": Cost(0.02, 0.03)}, {}).splitlines()[2] == "| rings | 0.020 | 0.030 |  |"
+    assert compared({"rings": Cost(0.02, 0.03)}, {}).splitlines()[2] == "| rings | 0.020 | 0.030 |  |"
 
 
-def test_what_is_kept_comes_back_with_the_machine_it_is_of() -> None:
-    rows = {"`p2o run`": Cost(4.5, 3.25, 512.0)}
-    assert kept(to_keep(rows)) == (machine(), rows)
-
-
-def test_differences_of_poses_are_told_with_whose_are_nearer_the_truth() -> None:
-    moved = np.eye(4)
-    moved[0, 3] = 0.0015
-    ours = {"a": {"pose": moved.tolist(), "said": ["converged", "trusted"], "error": [0.1, 0.01]}}
-    theirs = {"a": {"pose": np.eye(4).tolist(), "said": ["converged", "doubtful"], "error": [0.2, 0.02]}}
-    line = differences(ours, theirs)
-    assert "1 poses, apart at most 0.00000 deg and 1.500 mm; 1 with another status or verdict" in line
-    assert "mean error 0.1000 deg and 10.00 mm, before 0.2000 deg and 20.00 mm" in line
+def test_poses_of_commits_are_counted_that_are_equal_to_the_last_digit() -> None:
+    moved, nearly = np.eye(4), np.eye(4)
+    moved[0, 3], nearly[0, 3] = 0.0015, 1e-16
+    ours = {name: {"pose": pose.tolist(), "verdict": "trusted"} for name, pose in (("a", moved), ("b", nearly))}
+    theirs = {name: {"pose": np.eye(4).tolist(), "verdict": "doubtful"} for name in ("a", "b")}
+    line = "0 of 2 poses are equal, apart at most 0.00000 deg and 1.500 mm; 2 with another status or verdict"
+    assert differences(ours, theirs) == line
+    assert differences(ours, ours).startswith("2 of 2 poses are equal")

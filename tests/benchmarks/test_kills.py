@@ -1,52 +1,64 @@
-"""Five kills at random moments of a small study; `python benchmarks/kills.py --kills 100` is the long form."""
+"""A few kills of a small study and a small fleet; the long form is `python benchmarks/kills.py study --kills 100`."""
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import random
 import sqlite3
 from pathlib import Path
 
-import kills
 import pytest
-from kills import Tally, campaign
+from kills import Fleet, FleetOnCluster, StudyOfStreets, Tally, campaign, disturbed
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "killpg"), reason="needs signals to groups of processes")
 
 
-@pytest.mark.skipif(not hasattr(os, "killpg"), reason="needs signals to groups of processes")
 def test_a_study_that_is_killed_loses_no_finished_row_and_changes_no_bit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("P2O_PLUGINS", raising=False)
-    tally = campaign(5, 4, tmp_path, scenes=1, seeds=3)
+    tally = campaign(StudyOfStreets(tmp_path, scenes=1, seeds=3), 5, 4, tmp_path)
     assert tally.broken == []
     assert tally.kills.total() == 5
-    assert tally.rows == 9
+    assert tally.count == 9
 
 
-def test_a_row_that_differs_in_one_bit_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The judge is judged: rows of the second study are changed behind its back."""
+def test_a_row_that_differs_in_one_bit_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows of the second study are changed after it has written them."""
 
-    def start(file: Path, folder: Path, jobs: int) -> object:
+    def start(self: StudyOfStreets, folder: Path, number: int) -> list[object]:
         """Write a store as a study would."""
         folder.mkdir(exist_ok=True)
         with sqlite3.connect(folder / "study.sqlite") as connection:
             connection.execute("create table if not exists runs (key primary key, status, rotation_deg, seconds)")
-            for number in range(3):
-                changed = 1e-16 if folder.name == "study-1" and number == 1 else 0.0
-                connection.execute("insert into runs values (?, 'converged', ?, 1)", (f"k{number}", 0.1 + changed))
+            for row in range(3):
+                changed = 1e-16 if folder.name == "run-1" and row == 1 else 0.0
+                connection.execute("insert into runs values (?, 'converged', ?, 1)", (f"k{row}", 0.1 + changed))
         connection.close()
-        return _Ended()
+        return [_Ended()]
 
-    monkeypatch.setattr(kills, "_start", start)
-    tally = Tally()
-    pace, expected = kills._undisturbed(tmp_path / "x.toml", tmp_path / "undisturbed")
-    assert not kills._disturbed(tmp_path, tmp_path / "study-1", 1, random.Random(0), pace, tally, expected, 1)
-    [told] = tally.broken
-    assert told.endswith("1 rows changed, such as k1")
+    monkeypatch.setattr(StudyOfStreets, "start", start)
+    tally, study = Tally(), StudyOfStreets(tmp_path)
+    assert not disturbed(study, tmp_path / "run-1", random.Random(0), tally, 1)
+    [problem] = tally.broken
+    assert problem.endswith("1 rows changed, such as k1")
+    assert study.faults(tmp_path / "run-1") == ["1 rows differ in the end, such as k1"]
 
 
 class _Ended:
-    """A process that has done its work."""
+    """A process that has ended."""
 
     pid = 2**22 + 1
     poll = wait = lambda self, timeout=None: 0
+
+
+def test_a_fleet_that_is_killed_loses_no_finished_check_and_counts_none_twice(tmp_path: Path) -> None:
+    tally = campaign(Fleet(tmp_path, 10), 4, 3, tmp_path)
+    assert tally.broken == []
+    assert tally.kills.total() >= 4
+
+
+@pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason='needs pip install ".[dask]"')
+def test_a_cluster_whose_scheduler_workers_and_runs_are_killed_loses_no_finished_check(tmp_path: Path) -> None:
+    assert campaign(FleetOnCluster(tmp_path, 20), 6, 2, tmp_path).broken == []

@@ -7,10 +7,10 @@ from scaling import simulated
 
 
 def test_one_worker_waits_for_the_scheduler_and_the_scheduler_for_it() -> None:
-    found = simulated(1000, 1, [0.9], 0.1)
-    assert found.rows_a_minute == pytest.approx(60.0, rel=2e-3)
-    assert found.workers_busy == pytest.approx(0.9, abs=2e-3)
-    assert found.scheduler_busy == pytest.approx(0.1, abs=2e-3)
+    outcome = simulated(1000, 1, [0.9], 0.1)
+    assert outcome.rows_a_minute == pytest.approx(60.0, rel=2e-3)
+    assert outcome.workers_busy == pytest.approx(0.9, abs=2e-3)
+    assert outcome.scheduler_busy == pytest.approx(0.1, abs=2e-3)
 
 
 def test_rows_grow_with_workers_until_the_scheduler_is_always_busy() -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fleet_kills import write_drives
+from kills import write_drives
 from p2o.cli import main
 from p2o_fleet.drive import Drive, drives_of
 from p2o_fleet.evidence import CheckEvidence, Verdict

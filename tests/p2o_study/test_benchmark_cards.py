@@ -9,7 +9,7 @@ import p2o
 import pytest
 from p2o.cli import main
 from p2o.run.words import split_data
-from p2o_study.benchmark.card import FOLDER, cards_text, read_cards
+from p2o_study.benchmark.card import FOLDER, page_text, read_cards
 from p2o_study.benchmark.measure import status_of
 from p2o_study.benchmark.suite import SuiteFile, find_suite, suites
 from p2o_study.rows import Rows
@@ -67,7 +67,7 @@ def test_cards_have_the_digests_of_exactly_the_frames_of_their_lists() -> None:
 
 def test_the_page_of_cards_equals_the_cards() -> None:
     page = (ROOT / "docs/data-cards.md").read_text(encoding="utf-8")
-    assert page.endswith(f"<!-- cards -->\n{cards_text(read_cards(ROOT / FOLDER))}<!-- /cards -->\n")
+    assert page.endswith(f"<!-- cards -->\n{page_text(read_cards(ROOT / FOLDER))}<!-- /cards -->\n")
 
 
 @pytest.mark.real
@@ -164,7 +164,7 @@ def test_an_invalid_card_is_refused_with_its_file(
 
 def test_cards_are_written_between_the_marks_of_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "cards").mkdir()
-    cards = folder(tmp_path / "cards")
+    cards = folder(tmp_path / "cards", CARD + "lists: [tiny]\n")
     page = tmp_path / "page.md"
     page.write_text("# Before\n\n<!-- cards -->\nold\n<!-- /cards -->\n\nafter\n")
     words = ["benchmark", "docs", str(page), "--cards", cards]
@@ -173,7 +173,7 @@ def test_cards_are_written_between_the_marks_of_a_page(tmp_path: Path, capsys: p
     assert main([*words, "--check"]) == 0
     text = page.read_text()
     assert text.startswith("# Before\n\n<!-- cards -->\n| card |")
-    assert "\n## tiny\n\nTiny frames.\n" in text
+    assert "\n## tiny\n\n- **truth**: exact\n" in text
     assert text.endswith("\n<!-- /cards -->\n\nafter\n")
     page.write_text("<!-- cards -->\nnever closed\n")
     assert main(words) == 2

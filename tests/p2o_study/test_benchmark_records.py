@@ -28,7 +28,8 @@ def test_a_page_shows_what_a_command_printed_with_command_and_date(tmp_path: Pat
     assert docs(tmp_path, page) == 0
     text = page.read_text()
     stored = read_record(tmp_path, "memory")
-    assert f"    {stored.command}\n\n```text\npeak  412 MiB\n```\n\nMeasured on {stored.finished[:10]} with " in text
+    origin = f"Output of `{stored.command}`: {stored.finished[:10]}, "
+    assert f"```text\npeak  412 MiB\n```\n\n{origin}" in text
     assert text.endswith("<!-- /record -->\n\nAfter\n")
     assert docs(tmp_path, page, "--check") == 0
     assert record(tmp_path, "memory", "print('peak  500 MiB')") == 0
@@ -37,14 +38,25 @@ def test_a_page_shows_what_a_command_printed_with_command_and_date(tmp_path: Pat
 
 def test_a_printed_table_is_a_table_of_the_page(tmp_path: Path) -> None:
     assert record(tmp_path, "rates", "print('| a | b |\\n|--|--|\\n| 1 | 2 |')") == 0
-    assert "\n\n| a | b |\n|--|--|\n| 1 | 2 |\n\n" in read_record(tmp_path, "rates").markdown
+    assert read_record(tmp_path, "rates").markdown().startswith("| a | b |\n|--|--|\n| 1 | 2 |\n\nOutput of `")
 
 
 def test_a_line_of_text_may_precede_a_printed_table(tmp_path: Path) -> None:
     assert record(tmp_path, "rates", "print('one core\\n\\n| a | b |\\n|--|--|\\n| 1 | 2 |')") == 0
-    assert "\n\none core\n\n| a | b |\n|--|--|\n| 1 | 2 |\n\n" in read_record(tmp_path, "rates").markdown
+    assert "one core\n\n| a | b |\n|--|--|\n| 1 | 2 |\n\n" in read_record(tmp_path, "rates").markdown()
     assert record(tmp_path, "rates", "print('one core\\n| a | b |\\n|--|--|\\n| 1 | 2 |')") == 0
-    assert "```text\none core\n" in read_record(tmp_path, "rates").markdown
+    assert "```text\none core\n" in read_record(tmp_path, "rates").markdown()
+
+
+def test_a_mark_selects_tables_of_a_record(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert record(tmp_path, "rates", "print('one\\n\\n| a |\\n|--|\\n\\n| b |\\n|--|\\n\\n| c |\\n|--|')") == 0
+    page = tmp_path / "page.md"
+    page.write_text("<!-- record: rates; tables: 1, 3 -->\n<!-- /record -->\n")
+    assert docs(tmp_path, page) == 0
+    assert "-->\n| a |\n|--|\n\n| c |\n|--|\n\nOutput of `" in page.read_text()
+    page.write_text("<!-- record: rates; tables: 4 -->\n<!-- /record -->\n")
+    assert docs(tmp_path, page) == 2
+    assert "record rates: a table is missing" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -60,8 +60,8 @@ Those of the features contrast, lead, shift, jump, ratio, votes inside and outsi
 misfit inside and outside, known inside and outside (see `locate`), and a constant; then those of the first estimate, of
 the neighbours' estimates, and a constant.
 
-Logistic regression on layered pairs synthesised from images of the `train` split: `python benchmarks/stereo_bias.py
---fit`.
+Logistic regression on layered pairs synthesised from images of the `train` split: `benchmarks/stereo_bias.py
+--fit` of the tag `experiments-0.2`.
 """
 
 

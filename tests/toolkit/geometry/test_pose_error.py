@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from p2o import se3
+from p2o import Camera, se3
+from p2o.confidence.audit import AXES
+from p2o.confidence.explanation import corrected
 from p2o.geometry.pose_error import pose_error, summarise
 
 from tests.edge_scene import TRUTH
@@ -38,6 +40,22 @@ def test_a_shift_along_one_camera_axis_shows_in_that_axis_only(axis: int, name: 
     assert error.per_axis[name] == pytest.approx(0.07, abs=1e-12)
     assert error.translation_m == pytest.approx(0.07, abs=1e-12)
     assert sum(abs(v) > 1e-9 for v in error.per_axis.values()) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "moves"),
+    [("pitch", 4.0, (0, -1)), ("yaw", 4.0, (1, 0)), ("x", 0.5, (1, 0)), ("y", 0.5, (0, 1)), ("roll", 10.0, (0, 1))],
+)
+def test_points_move_in_the_image_as_docs_conventions_shows(name: str, size: float, moves: tuple[int, int]) -> None:
+    number, unit = next((at, unit) for at, (axis, unit) in enumerate(AXES) if axis == name)
+    wrong = corrected(TRUTH, number, np.array([-size]))[0]
+    assert pose_error(wrong, TRUTH).per_axis[f"{name}_{unit}"] == pytest.approx(size, rel=1e-3)
+    camera = Camera.pinhole(700, 700, 450, 300, 900, 600)
+    # On the right of the middle, where a roll moves things down.
+    xyz = se3.apply(se3.inverse(TRUTH), camera.rays(np.array([[800.0, 300]])) * 8)
+    before, after = (camera.project(se3.apply(pose, xyz))[0] for pose in (TRUTH, wrong))
+    moved = (after - before) / np.linalg.norm(after - before)
+    assert moved @ moves > 0.95
 
 
 def test_norm_and_per_axis_values_agree() -> None:

@@ -1,8 +1,8 @@
 """Detect a pose that is lidar_from_camera instead of camera_from_lidar, in millimetres, or of a reordered quaternion.
 
 There are two criteria: whether the sweep projects into the image, and whether the vertical of the scene is upright in
-the image. The vertical is estimated from the points of the sweep, for any axes of the LiDAR. docs/datasets.md gives
-the detection rate and its limits: a rotation that is (nearly) its own inverse cannot be detected.
+the image. The vertical is estimated from the points of the sweep, for any axes of the LiDAR. The inverse of a
+rotation that is (nearly) its own inverse cannot be detected (docs/datasets.md).
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -27,6 +27,8 @@ from p2o_study.worker import Plugins, ReadJob, Source, read
 
 FOLDER = Path("benchmarks/cards")
 _FACTS = ("sensor", "camera", "place", "frames", "licence", "source", "truth", "faults", "learned")
+_COLUMNS = ("sensor", "camera")
+_OF_PAGE = ("truth", "faults", "learned")
 _HEAD = "<!-- cards -->\n"
 _PART = re.compile(r"(?<=^<!-- cards -->\n).*?(?=^<!-- /cards -->$)", re.DOTALL | re.MULTILINE)
 
@@ -86,23 +88,26 @@ def read_cards(folder: Path = FOLDER) -> dict[str, Card]:
 
 
 def cards_text(cards: Mapping[str, Card]) -> str:
-    """Return cards in Markdown: a table of all, then a section for each."""
+    """Return cards in Markdown: a table of all, then a section for each with its other facts."""
+    return _markdown(cards, list(cards), [fact for fact in _FACTS if fact not in _COLUMNS])
+
+
+def page_text(cards: Mapping[str, Card]) -> str:
+    """Return the page of cards: a table of all, and sections with what decides of those whose frames are measured."""
+    return _markdown(cards, [name for name, card in cards.items() if card.lists], _OF_PAGE)
+
+
+def _markdown(cards: Mapping[str, Card], sections: Sequence[str], facts: Sequence[str]) -> str:
     lines = ["| card | data | LiDAR | camera | images may be shown | digests |", "|:--|:--|:--|:--|:--|--:|"]
     for name, card in cards.items():
-        facts = [md_text(text) for text in (card.title, card.sensor, card.camera)]
-        cells = [f"[{name}](#{name})", *facts, _yes(card.shown), str(len(card.digests) or "-")]
-        lines.append(f"| {' | '.join(cells)} |")
-    for name, card in cards.items():
-        lines += ["", f"## {name}", "", f"{md_text(card.title)}.", "", "| | |", "|:--|:--|"]
-        recorded = f"of {len(card.digests)} frames" if card.digests else "none recorded"
-        content = card.facts
-        content |= {"images may be shown": _yes(card.shown), "digests": recorded}
-        lines += [f"| {fact} | {md_text(text)} |" for fact, text in content.items()]
+        columns = [md_text(text) for text in (card.title, card.sensor, card.camera)]
+        title = f"[{name}](#{name})" if name in sections else name
+        columns += ["yes" if card.shown else "no", str(len(card.digests) or "-")]
+        lines.append(f"| {' | '.join([title, *columns])} |")
+    for name in sections:
+        lines += ["", f"## {name}", ""]
+        lines += [f"- **{fact}**: {md_text(cards[name].facts[fact])}" for fact in facts]
     return "\n".join([*lines, ""])
-
-
-def _yes(value: bool) -> str:
-    return "yes" if value else "no"
 
 
 def with_cards(text: str, where: str, cards: Callable[[], Mapping[str, Card]]) -> str:
@@ -116,7 +121,7 @@ def with_cards(text: str, where: str, cards: Callable[[], Mapping[str, Card]]) -
     if len(parts) != 1 or text.count(_HEAD) != 1:
         expected = "<!-- cards --> on its own line once, and <!-- /cards --> after it"
         raise InputError("the marked part of the cards is not valid", where=where, expected=expected)
-    return text[: parts[0].start()] + cards_text(cards()) + text[parts[0].end() :]
+    return text[: parts[0].start()] + page_text(cards()) + text[parts[0].end() :]
 
 
 def frame_digests(data: str, frames: str, plugins: Plugins) -> dict[str, str]:

@@ -30,7 +30,8 @@ from p2o_study.study import Line, Slug
 FOLDER = "records"
 MAX_CHARACTERS = 20_000
 _PART = re.compile(
-    r"^(?P<head><!-- record: (?P<name>[a-z0-9._-]+) -->\n)(?:(?!^<!-- record:).)*?(?P<tail>^<!-- /record -->$)",
+    r"^(?P<head><!-- record: (?P<name>[a-z0-9._-]+)(?:; tables: (?P<tables>[1-9](?:, [1-9])*))? -->\n)"
+    r"(?:(?!^<!-- record:).)*?(?P<tail>^<!-- /record -->$)",
     re.DOTALL | re.MULTILINE,
 )
 MARK = re.compile(r"^<!-- record:", re.MULTILINE)
@@ -51,19 +52,25 @@ class Record(BaseModel):
     measured_by: Line
     finished: Line
 
-    @property
-    def markdown(self) -> str:
-        """Command, output and origin; an output of Markdown tables, with single lines of text around, is not quoted."""
+    def markdown(self, numbers: Sequence[int] = ()) -> str:
+        """Return the output, or some of its tables by their numbers from 1, then its origin in one line.
+
+        Markdown tables, with single lines of text around, are not quoted. Raises InputError for a missing table.
+        """
         lines = [line.rstrip() for line in self.output.strip("\n").splitlines()]
         blocks = [list(block) for filled, block in groupby(lines, key=bool) if filled]
-        tables = [all(line.startswith("|") for line in block) for block in blocks]
-        is_markdown = any(tables) and all(table or len(block) == 1 for table, block in zip(tables, blocks, strict=True))
+        tables = [block for block in blocks if all(line.startswith("|") for line in block)]
+        if any(number > len(tables) for number in numbers):
+            raise InputError("a table is missing", where=f"record {self.name}", expected=numbers, got=len(tables))
+        is_markdown = bool(tables) and all(block in tables or len(block) == 1 for block in blocks)
         shown = lines if is_markdown else ["```text", *lines, "```"]
+        if numbers:
+            shown = "\n\n".join("\n".join(tables[number - 1]) for number in numbers).splitlines()
         machine = f"{self.machine['processor']}, {self.machine['cores']} cores"
         commit, changed, _ = self.commit.partition("+changes")
         version = commit if commit.startswith("version") else f"commit {commit[:10]}{changed}"
-        origin = f"Measured on {self.finished[:10]} with {version} in {self.seconds:.0f} s ({machine})."
-        return "\n".join([f"    {self.command}", "", *shown, "", origin, ""])
+        origin = f"{self.finished[:10]}, {version}, {self.seconds:.0f} s ({machine})"
+        return "\n".join([*shown, "", f"Output of `{self.command.removeprefix('python ')}`: {origin}.", ""])
 
 
 def recorded(name: str, command: Sequence[str], measured_by: str) -> Record:
@@ -123,9 +130,15 @@ def read_record(results: Path, name: str) -> Record:
 def with_records(text: str, where: str, results: Path) -> str:
     """Return a page with the parts between `<!-- record: NAME -->` and `<!-- /record -->` replaced.
 
-    Raises InputError for a mark that is not closed, and as `read_record`.
+    `<!-- record: NAME; tables: 1, 3 -->` selects tables of the output. Raises InputError for a mark that is not closed
+    and a table that is missing, and as `read_record`.
     """
     if len(MARK.findall(text)) != len(_PART.findall(text)):
         expected = "<!-- record: NAME --> on its own line, and <!-- /record --> after it"
         raise InputError("a marked part is not valid", where=where, expected=expected)
-    return _PART.sub(lambda part: f"{part['head']}{read_record(results, part['name']).markdown}{part['tail']}", text)
+
+    def shown(part: re.Match[str]) -> str:
+        numbers = [int(number) for number in (part["tables"] or "").split(", ") if number]
+        return f"{part['head']}{read_record(results, part['name']).markdown(numbers)}{part['tail']}"
+
+    return _PART.sub(shown, text)

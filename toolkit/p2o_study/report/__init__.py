@@ -1,4 +1,4 @@
-"""Reports of studies: tables, figures and a page, computed from the single runs in a store (docs/reports.md)."""
+"""Reports of studies: tables, figures and a page, computed from the single runs in a store (docs/studies.md)."""
 
 from __future__ import annotations
 

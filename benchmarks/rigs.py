@@ -1,20 +1,24 @@
-"""Rigs for `verdicts.py`: real ones and simulated ones, each with how good its truth is."""
+"""Real and simulated rigs with the accuracy of their ground truth, and the features of their frames."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
-import numpy as np
+from common import SPLITS, cached
 from p2o.arrays import Float
 from p2o.cache import FeatureCache, content_hash
 from p2o.features.view import View
 from p2o.frames.frame import Frame
-from p2o.frames.selection import select
+from p2o.frames.selection import select, spread
 from p2o.host.registry import Registry
 from p2o.run.recipe import Plan, Recipe
 from p2o_study.keys import features_key
+
+KITTI_RAW = "kitti-raw:build/data/kitti_raw"
+DDAD = {"cloud": {"origin_m": [1.65, 0, 1.35]}}
 
 
 @dataclass(frozen=True)
@@ -53,12 +57,30 @@ class Rig:
         if self.apart:
             return []
         words = ["" if self.camera_at is None else name[self.camera_at] for name in names]
-        return [[at for at, word in enumerate(words) if word == its] for its in sorted(set(words))]
+        return [[at for at, word in enumerate(words) if word == camera] for camera in sorted(set(words))]
+
+    def samples(self, features: Path, most: int | None = None) -> list[Sample]:
+        """Return at most `most` of its frames, evenly spaced; `features` is a folder of extracted features."""
+        plan = self.plan
+        dataset, pipeline = plan.dataset(), plan.calibrator()
+        numbers = select(dataset.names, self.frames.format(splits=SPLITS), skipped=dataset.skipped)
+        parts = [features_key(plan.parts[stage], self.data) for stage in ("extractor", "cloud")]
+
+        def extracted(number: int) -> tuple[View, Float | None]:
+            frame = cropped(dataset[number], self.crop)
+            return pipeline.prepare(frame), frame.camera_from_lidar
+
+        return [
+            Sample(
+                *cached(FeatureCache(features), content_hash([*parts, self.crop, number]), partial(extracted, number))
+            )
+            for number in spread(numbers, most or len(numbers))
+        ]
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
-    """What was found in one frame, and its truth camera_from_lidar (4, 4)."""
+class Sample:
+    """The features of one frame, and its ground truth camera_from_lidar (4, 4)."""
 
     view: View
     truth: Float
@@ -75,7 +97,7 @@ def _folder(name: str, **rest: object) -> Rig:
 
 
 def _drive(name: str, words: str) -> Rig:
-    data = f"kitti-raw:build/data/kitti_raw?{words}".rstrip("?")
+    data = f"{KITTI_RAW}?{words}".rstrip("?")
     return Rig(f"drive-{name}", data, "@{splits}#drive_0005_later", truth_deg=0.1, truth_m=0.01)
 
 
@@ -109,25 +131,11 @@ RIGS: Sequence[Rig] = (
     _folder("hitsz", truth_deg=0.1, truth_m=0.05, seeds=2, one_place=True),
     _folder("hitsz_sim", truth_deg=0.2, truth_m=0.011, one_place=True),
     _folder("boards_sim", one_place=True),
-    Rig(
-        "ddad",
-        "folder:build/data/rigs/ddad",
-        extractor="p2ornet/range-view",
-        options={"cloud": {"origin_m": [1.65, 0, 1.35]}},
-        truth_deg=0.15,
-        truth_m=0.05,
-        one_place=True,
-        camera_at=-1,
+    _folder(
+        "ddad", extractor="p2ornet/range-view", options=DDAD, truth_deg=0.15, truth_m=0.05, one_place=True, camera_at=-1
     ),
     Rig("kitti-odometry", "kitti-odometry:build/data/kitti_odometry", truth_deg=0.1, truth_m=0.01),
-    Rig(
-        "kitti-raw",
-        "kitti-raw:build/data/kitti_raw",
-        "@{splits}#train",
-        weights="synthetic",
-        truth_deg=0.1,
-        truth_m=0.01,
-    ),
+    Rig("kitti-raw", KITTI_RAW, "@{splits}#train", weights="synthetic", truth_deg=0.1, truth_m=0.01),
     _drive("hdl64", ""),
     _drive("32-rings", "keep_rings=2"),
     _drive("16-rings", "keep_rings=4"),
@@ -154,6 +162,11 @@ RIGS: Sequence[Rig] = (
 )
 
 
+def rig_of(name: str) -> Rig:
+    """Return a rig by its name."""
+    return next(rig for rig in RIGS if rig.name == name)
+
+
 def cropped(frame: Frame, crop: tuple[int, int] | None) -> Frame:
     """Return the frame with the middle of its image alone."""
     if crop is None:
@@ -162,24 +175,5 @@ def cropped(frame: Frame, crop: tuple[int, int] | None) -> Frame:
     left, top = (camera.width - width) // 2, (camera.height - height) // 2
     fx, fy, cx, cy, *rest = camera.params
     smaller = replace(camera, width=width, height=height, params=(fx, fy, cx - left, cy - top, *rest))
-    picture = frame.image.rgb[top : top + height, left : left + width]
-    return replace(frame, image=type(frame.image)(picture, smaller))
-
-
-def seen(rig: Rig, kept: Path, splits: str, most: int | None = None) -> Iterator[Seen]:
-    """Give what is found in the frames of a rig, one by one; `kept` is a folder for it (deleting it is safe)."""
-    plan = rig.plan
-    dataset, pipeline = plan.dataset(), plan.calibrator()
-    numbers = select(dataset.names, rig.frames.format(splits=splits), skipped=dataset.skipped)
-    if most is not None and len(numbers) > most:
-        numbers = [numbers[at] for at in np.linspace(0, len(numbers) - 1, most).round().astype(int)]
-    cache, parts = FeatureCache(kept), [features_key(plan.parts[stage], rig.data) for stage in ("extractor", "cloud")]
-    for number in numbers:
-        key = content_hash([*parts, rig.crop, number])
-        found = cache.get(key)
-        if found is None:
-            frame = cropped(dataset[number], rig.crop)
-            cache.put(key, (pipeline.prepare(frame), frame.camera_from_lidar), 0.0)
-            found = cache.get(key)
-        assert found is not None
-        yield Seen(*found.features)
+    rgb = frame.image.rgb[top : top + height, left : left + width]
+    return replace(frame, image=type(frame.image)(rgb, smaller))

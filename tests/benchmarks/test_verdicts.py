@@ -1,0 +1,55 @@
+"""The error model that `python benchmarks/verdicts.py fit` fits is that of `p2o.confidence.accuracy`."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import verdicts
+from p2o.confidence.accuracy import DEFAULT_ERROR_MODEL, ErrorBudget, likely_covariance
+from p2o.results.evidence import Agreement
+from verdicts import USUAL, Row, fitted, report
+
+from tests.edge_scene import TRUTH
+
+AGREEMENT = Agreement(0.5, 0.1, 1000, 100)
+
+
+def row(rig: str, rng: np.random.Generator, *, intervals: bool = False, is_right: bool = True) -> Row:
+    """A result whose errors follow the default model."""
+    matrices = [m @ m.T * 1e-6 for m in rng.normal(size=(4, 6, 6))]
+    pairs, beams, objects, cameras = (np.diag(np.diag(matrix)) for matrix in matrices)
+    budget = ErrorBudget(pairs, beams, objects, np.full(6, 1e-3), views=2.0, intervals=intervals, cameras=cameras)
+    covariance = likely_covariance(budget, TRUTH, AGREEMENT.odds_ratio, DEFAULT_ERROR_MODEL)
+    error = rng.normal(size=6) * np.sqrt(np.diag(covariance))
+    size = float(np.degrees(np.linalg.norm(error[:3]))), float(np.linalg.norm(error[3:]))
+    return Row(rig, is_right, True, False, intervals, error, size, (0.0, 0.0), TRUTH, budget, AGREEMENT, None)
+
+
+def rows() -> list[Row]:
+    rng = np.random.default_rng(0)
+    return [row(rig, rng, intervals=intervals) for rig in "abc" for intervals in (False, True) for _ in range(8)]
+
+
+def test_the_variances_of_the_fit_are_those_of_the_predicted_error() -> None:
+    results = rows()[:4]
+    model = {name: getattr(DEFAULT_ERROR_MODEL, name) for name in USUAL}
+    variances = verdicts._Errors.of(results).variance(model)
+    for result, variance in zip(results, variances, strict=True):
+        assert result.budget is not None
+        covariance = likely_covariance(result.budget, TRUTH, AGREEMENT.odds_ratio, DEFAULT_ERROR_MODEL)
+        assert variance == pytest.approx(np.diag(covariance), rel=1e-9)
+
+
+def test_bounds_of_a_fit_contain_the_shares_of_the_errors() -> None:
+    results = [result for result in rows() if not result.intervals]
+    model = fitted(results, intervals=False)
+    covered = [verdicts._Judged.of(result, model).covered for result in results]
+    assert np.mean(covered, axis=0) == pytest.approx([0.7, 0.7, 0.95, 0.95], abs=0.06)
+
+
+def test_each_rig_has_a_line_and_wrong_pairs_that_are_trusted_are_false_accepts() -> None:
+    wrong = row("c", np.random.default_rng(1), is_right=False)
+    lines = [line.split("|") for line in report([*rows(), wrong], str).splitlines() if line.startswith("|")]
+    assert [line[1].strip() for line in lines[2:5]] == ["a", "b", "c"]
+    assert [line[2].strip() for line in lines[2:5]] == ["16 (16), 0", "16 (16), 0", "16 (16), 1"]
+    assert [line[-2].strip() for line in lines[2:5]] == ["0", "0", "1"]
