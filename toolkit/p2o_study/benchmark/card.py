@@ -101,7 +101,8 @@ def _markdown(cards: Mapping[str, Card], sections: Sequence[str], facts: Sequenc
     for name, card in cards.items():
         columns = [md_text(text) for text in (card.title, card.sensor, card.camera)]
         title = f"[{name}](#{name})" if name in sections else name
-        lines.append(f"| {' | '.join([title, *columns, 'yes' if card.shown else 'no', str(len(card.digests) or '-')])} |")
+        cells = [title, *columns, "yes" if card.shown else "no", str(len(card.digests) or "-")]
+        lines.append(f"| {' | '.join(cells)} |")
     for name in sections:
         lines += ["", f"## {name}", ""]
         lines += [f"- **{fact}**: {md_text(cards[name].facts[fact])}" for fact in facts]

@@ -56,7 +56,7 @@ class Record(BaseModel):
     def markdown(self, numbers: Sequence[int] = ()) -> str:
         """Return the output, or some of its tables by their numbers from 1, then its origin in one line.
 
-        Markdown tables, with single lines of text around, are not quoted. Raises InputError for a table that is missing.
+        Markdown tables, with single lines of text around, are not quoted. Raises InputError for a missing table.
         """
         lines = [line.rstrip() for line in self.output.strip("\n").splitlines()]
         blocks = [list(block) for filled, block in groupby(lines, key=bool) if filled]
