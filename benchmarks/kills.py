@@ -22,7 +22,6 @@ import os
 import random
 import signal
 import socket
-import sqlite3
 import subprocess
 import sys
 import tempfile
@@ -41,6 +40,7 @@ from p2o_fleet.run import run_fleet
 from p2o_fleet.store import Store
 from p2o_fleet.worker import CheckSettings
 from p2o_study.parallel import Workers
+from p2o_study.rows import Rows
 from p2o_study.worker import Plugins
 
 _LEAVE_S = 30.0
@@ -199,7 +199,6 @@ label = "pairs of frames"
 matcher = "ogm"
 joint = 2
 """
-    RUN_TIME: ClassVar[frozenset[str]] = frozenset({"seconds", "finished", "machine"})
     """Columns that differ between runs."""
     is_command = True
 
@@ -227,18 +226,13 @@ joint = 2
         return [subprocess.Popen(command, stdout=nowhere, stderr=nowhere, env=environment, start_new_session=True)]
 
     def finished(self, folder: Path) -> dict[str, object]:
-        """Return the finished rows by key, without their run time; raises SystemExit if the store is damaged."""
-        if not (folder / "study.sqlite").exists():
-            return {}
-        with contextlib.closing(sqlite3.connect(folder / "study.sqlite", timeout=60)) as connection:
-            if connection.execute("pragma integrity_check").fetchall() != [("ok",)]:
-                raise SystemExit(f"{folder}: the store is damaged")
-            names = [name for _, name, *_ in connection.execute("pragma table_info(runs)")]
-            columns = [name for name in names if name not in self.RUN_TIME]
-            if not columns:
-                return {}
-            query = f"select {', '.join(columns)} from runs where status != 'stage-failed'"
-            return {str(row[0]): row for row in connection.execute(query)}
+        """Return the finished rows by key, without their run time."""
+        rows = Rows(folder)
+        finished = (row for study in rows.studies for row in rows.each(study) if not row.crashed)
+        return {
+            row.key: (row.status, row.reason, None if row.estimate is None else row.estimate.tolist(), repr(row.rounds))
+            for row in finished
+        }
 
     def faults(self, folder: Path) -> list[str]:
         """Return the differences of a complete study from the undisturbed one."""

@@ -64,7 +64,7 @@ ELSEWHERE = {
 ONLY_CHECKED = (
     (r"^(make|pip|cd)\b|^python -m (pytest|tests\.fuzz)", "it sets up or tests a whole machine"),
     (r"^python benchmarks/", "minutes to hours"),
-    (r"^python -c .*build/data|build/data/|@benchmarks/splits|/data/kitti", "frames of KITTI or of other rigs"),
+    (r"^python -c .*build/data|build/data/|@baselines/.*splits|/data/kitti", "frames of KITTI or of other rigs"),
     (r"kitti-odometry:PATH", "frames of KITTI odometry"),
     (
         r"--calibrator (acsc|domhof|geiger|gong|koo|kuemmerle|mirzaei|pusztai|velas|velo2cam|zhou)",

@@ -76,7 +76,7 @@ def test_pieces_contain_every_frame_once() -> None:
 
 
 def test_the_fleet_has_more_than_fifty_drives_and_no_frame_of_the_test_split() -> None:
-    splits = json.loads((ROOT / "benchmarks/splits.json").read_text())
+    splits = json.loads((ROOT / "baselines/p2o_baselines/suites/splits.json").read_text())
     fleet = vehicles(Path("data"), splits, Path("simulated"))
     right = [vehicle for vehicle in fleet if vehicle.slip is None]
     assert sum(len(vehicle.drives) for vehicle in right) > 50

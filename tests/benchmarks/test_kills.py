@@ -5,11 +5,14 @@ from __future__ import annotations
 import importlib.util
 import os
 import random
-import sqlite3
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from kills import Fleet, FleetOnCluster, StudyOfStreets, Tally, campaign, disturbed
+from p2o_study.rows import Rows
+
+from tests.fake_study import run_of
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "killpg"), reason="needs signals to groups of processes")
 
@@ -24,18 +27,19 @@ def test_a_study_that_is_killed_loses_no_finished_row_and_changes_no_bit(
     assert tally.count == 9
 
 
-def test_a_row_that_differs_in_one_bit_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_row_that_differs_in_the_last_digit_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Rows of the second study are changed after it has written them."""
 
     def start(self: StudyOfStreets, folder: Path, number: int) -> list[object]:
-        """Write a store as a study would."""
-        folder.mkdir(exist_ok=True)
-        with sqlite3.connect(folder / "study.sqlite") as connection:
-            connection.execute("create table if not exists runs (key primary key, status, rotation_deg, seconds)")
-            for row in range(3):
-                changed = 1e-16 if folder.name == "run-1" and row == 1 else 0.0
-                connection.execute("insert into runs values (?, 'converged', ?, 1)", (f"k{row}", 0.1 + changed))
-        connection.close()
+        """Write rows as a study would."""
+        rows = Rows(folder)
+        rows.make_folder()
+        known = {row.key for row in rows.each("kills")}
+        for number in range(3):
+            changed = 1e-5 if folder.name == "run-1" and number == 1 else 0.0
+            row = replace(run_of("ours", "f", number, 0.1 + changed, 0.1), key=f"k{number}")
+            if row.key not in known:
+                rows.put("kills", row)
         return [_Ended()]
 
     monkeypatch.setattr(StudyOfStreets, "start", start)

@@ -10,7 +10,9 @@ import pytest
 from p2o.frames.selection import select
 
 ROOT = Path(__file__).parents[2]
-SPLITS: dict[str, list[str]] = json.loads((ROOT / "benchmarks/splits.json").read_text(encoding="utf-8"))
+SPLITS: dict[str, list[str]] = json.loads(
+    (ROOT / "baselines/p2o_baselines/suites/splits.json").read_text(encoding="utf-8")
+)
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), *sorted((ROOT / "benchmarks").glob("*.py"))]
 
 
@@ -33,10 +35,12 @@ def test_pages_name_lists_that_are_there_and_no_folder_outside(page: Path) -> No
     assert "../shared" not in text
     assert str(ROOT) not in text
     assert "@splits.json" not in text
-    for split in re.findall(r"@benchmarks/splits\.json#([\w-]+)", text):
+    for split in re.findall(r"@baselines/p2o_baselines/suites/splits\.json#([\w-]+)", text):
         assert split in SPLITS
 
 
 def test_a_command_of_the_pages_finds_its_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
-    assert select(SPLITS["train"] + SPLITS["test"], "@benchmarks/splits.json#test") == list(range(84, 108))
+    assert select(SPLITS["train"] + SPLITS["test"], f"@{FILE}#test") == list(
+        range(84, 108)
+    )
