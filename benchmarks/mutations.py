@@ -241,8 +241,9 @@ MUTATIONS = (
     ),
     Mutation(
         "start-not-in-key", "p2o_study", "wrong key", "toolkit/p2o_study/cells.py",
-        "content_hash([method.key, group.content, start])", "content_hash([method.key, group.content])",
+        "portable_hash([method.key, group.content, start])", "portable_hash([method.key, group.content])",
         f"{_T}/study/cells.py",
+        "content_hash([method.key, group.content, start])", "content_hash([method.key, group.content])",
     ),
     Mutation(
         "signed-mean", "p2o_study", "flipped sign", "toolkit/p2o_study/tally.py",

@@ -13,11 +13,10 @@ from typing import Any
 
 from p2o.arrays import Float
 from p2o.cache import content_hash
+from p2o.calibration.version import ALGORITHM
 from p2o.errors import InputError, P2OError
-from p2o.frames.frame import Frame
 from p2o.frames.selection import select
 from p2o.geometry.pose_error import pose_error
-from p2o.host import guard
 from p2o.host.guard import GuardedDataset
 from p2o.host.registry import Registry
 from p2o.run.assembly import INPUTS
@@ -29,39 +28,12 @@ from p2o_study import worker
 from p2o_study.damage import STAGE as DAMAGE
 from p2o_study.damage import Damage
 from p2o_study.keys import features_key, method_content
-from p2o_study.sources import Code, code_of
 from p2o_study.store import Planned, StoredRow
 from p2o_study.study import ALL_JOINT, BY_CAMERA, BY_RIG, MAX_SEEDS, StudyRow, with_place
-from p2o_study.worker import FrameRecord, Plugins, Source
+from p2o_study.worker import FrameRecord, Plugins, Source, portable_hash
 
 _INPUT_STAGES = ("data", "accumulate")
 """Stages that affect a result only through the content of the frames."""
-
-CANNOT_ALTER_A_POSE = (
-    # They resolve methods and read frames: the outcome is in the key by its content.
-    "p2o.cache",
-    "p2o.host.hookspecs",
-    "p2o.host.registry",
-    "p2o.run.joined",
-    "p2o.run.recipe",
-    "p2o_study.keys",
-    "p2o_study.sources",
-    # They store, display and export results.
-    "p2o.calibration_files",
-    "p2o.cli",
-    "p2o.draw",
-    "p2o_testing",
-    "p2o.training_loop",
-    "p2o_formats",
-    "p2o_pages",
-    "p2o_sim",
-    "p2o_study.columns",
-    "p2o_study.machine",
-    "p2o_study.parallel",
-    "p2o_study.report",
-    "p2o_study.store",
-)
-"""Modules that are not part of the key of a row, unless a method uses them itself."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,8 +73,9 @@ class Method:
                 if stage != "data"
             },
             "pipeline": described["options"].get("pipeline"),
-            "damage": damage_content(damage) if damage.missing_edges else None,
-            "code": (rig_code() if row.joint == BY_RIG else calibration_code()).hash,
+            "damage": damage.model_dump(mode="json") if damage.missing_edges else None,
+            "rig": row.joint == BY_RIG,
+            "algorithm": ALGORITHM,
         }
         acting = {**content, "seed": seed, "perturb": recipe.perturb, "versions": versions}
         words = recipe.model_dump(mode="json", exclude_unset=True)
@@ -120,22 +93,6 @@ class Method:
     def extractors(self) -> dict[str, tuple[str, str]]:
         """Recipe and stage by part name, for each stage whose output can be cached."""
         return {name: (self.recipe, stage) for stage, name, _ in self.prepared}
-
-
-def damage_content(damage: Damage) -> list[Any]:
-    """Return everything of the damage that a result depends on: options and code."""
-    return [damage.model_dump(mode="json"), code_of(Damage, leave_out=CANNOT_ALTER_A_POSE).hash]
-
-
-def calibration_code() -> Code:
-    """Return the definitions that every row depends on, in addition to those of its methods."""
-    # Results depend on parts and frames, although recipe and registry, which create them, are left out.
-    return code_of(worker.calibrate, Part, guard.build, Frame, leave_out=CANNOT_ALTER_A_POSE)
-
-
-def rig_code() -> Code:
-    """Return the definitions that every row of a rig depends on, in addition to those of its methods."""
-    return code_of(worker.calibrate_rig, Part, guard.build, Frame, leave_out=CANNOT_ALTER_A_POSE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -316,10 +273,10 @@ class Group:
 
     @cached_property
     def content(self) -> str:
-        """The hash of everything of the frames that a result depends on."""
+        """The hash of everything of the frames that a result depends on, the same on machines with other last bits."""
         frames = [{"name": record.name, **record.inputs} for record in self.records]
         cameras = {"cameras": [r.camera_from_lidar for r in self.records]} if self.rig else {}
-        return content_hash({"joint": bool(self.joint), "frames": frames, "truth": self.truth, **cameras})
+        return portable_hash({"joint": bool(self.joint), "frames": frames, "truth": self.truth, **cameras})
 
     @property
     def failure(self) -> tuple[str, str] | None:
@@ -412,7 +369,7 @@ class Cells(Sequence[Cell]):
             start, _ = start_of(group.poses, group.truth, method.plan.recipe, None, first, entry.listed)
         row = entry.row
         planned = Planned(
-            key=content_hash([method.key, group.content, start]),
+            key=portable_hash([method.key, group.content, start]),
             study=row.where.removeprefix("study "),
             row=row.label,
             section=row.section,

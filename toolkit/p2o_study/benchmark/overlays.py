@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +18,6 @@ from p2o_study.benchmark.suite import SuiteFile
 from p2o_study.report.overlays import drawn_run
 from p2o_study.store import StoredRow
 from p2o_study.study import DatasetTable
-from p2o_study.worker import content_digests
 
 SYNTHETIC = "synthetic"
 """The dataset whose images may be published without a licence."""
@@ -54,8 +54,8 @@ class Overlays:
         try:
             if row.method.external or row.crashed:
                 raise P2OError("no features of the row can be drawn")
-            frame, before, after = drawn_run(_stored(row, table), table.data, self.registry)
-            if _digest(row, frame) != row.frames[0].digest:
+            frame, digests, before, after = drawn_run(_stored(row, table), table.data, self.registry)
+            if _digest(row, frame, digests) != row.frames[0].digest:
                 raise P2OError("the frame differs from that of the row")
         except P2OError:
             self.left_out += 1
@@ -81,7 +81,7 @@ def _stored(row: Row, table: DatasetTable) -> StoredRow:
     )
 
 
-def _digest(row: Row, frame: Frame) -> str:
+def _digest(row: Row, frame: Frame, digests: Mapping[str, str]) -> str:
     truth = None if frame.camera_from_lidar is None else frame.camera_from_lidar.tolist()
-    values = {"dataset": row.dataset, "name": frame.name, "truth": truth, **content_digests(frame)}
+    values = {"dataset": row.dataset, "name": frame.name, "truth": truth, **digests}
     return FrameData.model_validate(values).digest

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -25,6 +25,7 @@ from p2o_study.keys import features_key
 from p2o_study.report.summary import Summary
 from p2o_study.report.worst import error_rank
 from p2o_study.store import StoredRow
+from p2o_study.worker import Identity, content_digests, input_hashes
 
 if TYPE_CHECKING:
     from p2o.frames.frame import Frame
@@ -115,20 +116,20 @@ def draw_all(
             for w in own:
                 if w.frame == name:
                     done += 1
-                    _check_content(w, frame)
+                    _check_content(w, source.input_hashes(frame))
                     images.add(w, *source.drawn(w.run, frame))
     return images
 
 
-def drawn_run(run: StoredRow, text: str, registry: Registry) -> tuple[Frame, UInt8, UInt8]:
-    """Return the first frame of a run with an estimate, and its overlays (H, W, 3) before and after the calibration.
+def drawn_run(run: StoredRow, text: str, registry: Registry) -> tuple[Frame, dict[str, str], UInt8, UInt8]:
+    """Return first frame of a run with an estimate, its digests, and overlays (H, W, 3) before and after calibration.
 
     `text` is the data, such as "synthetic:". Raises InputError if they lack the frame, and as `Recipe.resolve`.
     """
     source = _opened(text, run, registry)
     _check_names([Wanted(run, run.frames[0])], text, source.dataset.names)
     frame = source.frame(run.frames[0])
-    return frame, *source.drawn(run, frame)
+    return frame, source.content_digests(frame), *source.drawn(run, frame)
 
 
 def _by_recipe(wanted: Sequence[Wanted]) -> Iterable[list[Wanted]]:
@@ -142,15 +143,26 @@ def _by_recipe(wanted: Sequence[Wanted]) -> Iterable[list[Wanted]]:
 
 @dataclass(frozen=True)
 class _Source:
-    """The frames of one recipe and the methods whose features are drawn."""
+    """The frames of one recipe and the methods whose features are drawn; `identity` returns that of a frame."""
 
     dataset: GuardedDataset | JoinedFrames
+    identity: Callable[[int], Identity | None]
     assembly: Assembly
     damage: Damage
 
     def frame(self, name: str) -> Frame:
         frame: Frame = self.dataset[self.dataset.names.index(name)]
         return frame
+
+    def input_hashes(self, frame: Frame) -> dict[str, str]:
+        """Return the content hashes of a frame as rows have them."""
+        identity = self.identity(self.dataset.names.index(frame.name))
+        return input_hashes(frame) if identity is None else identity.input_hashes
+
+    def content_digests(self, frame: Frame) -> dict[str, str]:
+        """Return the digests of a frame as rows have them."""
+        identity = self.identity(self.dataset.names.index(frame.name))
+        return content_digests(frame) if identity is None else identity.content_digests
 
     def drawn(self, run: StoredRow, frame: Frame) -> tuple[UInt8, UInt8]:
         """Return the overlays at the initial guess and at the estimate of a run."""
@@ -183,7 +195,12 @@ def _opened(text: str, run: StoredRow, registry: Registry) -> _Source:
         data_options = {**options.get("data", {}), **data_options}
     options["data"] = data_options
     plan = Recipe.of(**{**recipe, "data": f"{name}:", "options": options}).resolve(registry)
-    return _Source(plan.dataset(), Assembly.of(plan.parts, plan.pipeline, _kept), damage)
+    dataset: GuardedDataset = plan.parts["data"].build()
+
+    def identity(index: int) -> Identity | None:
+        return Identity.of(dataset, index, plan.parts.get("accumulate"))
+
+    return _Source(plan.joined(dataset), identity, Assembly.of(plan.parts, plan.pipeline, _kept), damage)
 
 
 def _kept(part: Part) -> Any:
@@ -212,10 +229,10 @@ def _check_names(wanted: Sequence[Wanted], text: str, names: Sequence[str]) -> N
         )
 
 
-def _check_content(wanted: Wanted, frame: Frame) -> None:
+def _check_content(wanted: Wanted, hashes: Mapping[str, str]) -> None:
     known: Any = wanted.run.inputs.get(wanted.frame, {})
-    for part, value in (("image", frame.image), ("cloud", frame.cloud)):
-        if part in known and known[part] != content_hash(value):
+    for part in ("image", "cloud"):
+        if part in known and known[part] != hashes[part]:
             raise InputError(
                 f"the {part} of this frame differs from that of the study",
                 where=wanted.frame,
