@@ -62,7 +62,9 @@ def test_frames_are_those_of_the_version(name: str) -> None:
     hint = "if this is intended, raise p2o_sim.VERSION and run: python -m tests.p2o_sim.test_version"
     assert stored["version"] == p2o_sim.VERSION, hint
     share = different(stored["frames"][name], rendered(name))
-    assert share <= MAX_DIFFERENT, f"{share:.0%} of the values of frame '{name}' differ from version {p2o_sim.VERSION}: {hint}"
+    assert share <= MAX_DIFFERENT, (
+        f"{share:.0%} of the values of frame '{name}' differ from version {p2o_sim.VERSION}: {hint}"
+    )
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ from p2o_study.benchmark.results import Results
 from p2o_study.benchmark.row import FrameData, Row
 from p2o_study.benchmark.summary import top_groups
 from p2o_study.report.bootstrap import Interval
+from p2o_study.worker import Plugins, Source, identity_of
 
 from tests.p2o_study.benchmark_pages import command, rows_of, written
 
@@ -62,7 +63,11 @@ def test_overlays_are_drawn_on_the_frames_of_the_rows_and_on_no_others(
 ) -> None:
     smoke = Results(ROOT / "benchmarks/results")
     rows = [row for row in smoke.rows("smoke") if (row.row, row.place) == ("edges without directions", "scene-0000")]
-    [known] = smoke.frames.of(rows[0])
+    [stored] = smoke.frames.of(rows[0])
+    data = '{"scenes": 5, "width_px": 414, "height_px": 125, "seed": 1}'
+    identity = identity_of(Source(Plugins(), "synthetic:", data, 0, stored.name))
+    assert identity is not None
+    known = FrameData.model_validate(stored.model_dump(mode="json") | identity.content_digests)
     other = FrameData.model_validate(known.model_dump(mode="json") | {"image": "0" * 64})
     for folder, frame in (("same", known), ("other", other)):
         named = {"frames": [{"name": frame.name, "digest": frame.digest}]}

@@ -1,4 +1,4 @@
-"""Computed frames are identified by their recipe: their records are cached, and their hashes are not those of arrays."""
+"""Computed frames are identified by their recipe: records are cached, and hashes are not those of arrays."""
 
 from __future__ import annotations
 

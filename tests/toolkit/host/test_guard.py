@@ -87,5 +87,5 @@ def test_a_dataset_may_identify_computed_frames() -> None:
     assert identity(None) is None
     assert identity({"seed": 3}) == ["fake@acme", {"seed": 3}, shared]
     for value in (np.ones(3), float("nan"), {"options": p2o.Options()}):
-        with pytest.raises(PluginError, match="fake.*: identity of frame 0: .*; expected values of JSON, or None"):
+        with pytest.raises(PluginError, match=r"fake.*: identity of frame 0: .*; expected values of JSON, or None"):
             identity(value)
