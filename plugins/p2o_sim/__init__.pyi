@@ -39,6 +39,7 @@ from .things.boards import SPHERES as SPHERES
 from .things.boards import Board as Board
 from .things.boards import target_of as target_of
 from .things.boards import thing_of as thing_of
+from .version import VERSION as VERSION
 from .world.lighting import Inside as Inside
 from .world.lighting import Lamp as Lamp
 from .world.lighting import Lighting as Lighting

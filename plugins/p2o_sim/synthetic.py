@@ -531,7 +531,12 @@ def build(options: SyntheticOptions) -> LazyFrames:
         for number in range(options.frames_per_scene)
         for camera in options.cameras or ("",)
     }
-    return LazyFrames(entries, lambda entry: frame(options, *entry))
+    # `scenes` is the number of scenes only. A new option whose default changes no frame leaves all identities.
+    recipe = options.model_dump(mode="json", exclude={"scenes"}, exclude_defaults=True)
+    identity = {"version": simulate.VERSION, "options": recipe}
+    return LazyFrames(
+        entries, lambda entry: frame(options, *entry), identify=lambda entry: {**identity, "entry": list(entry)}
+    )
 
 
 def _require_bounded(options: SyntheticOptions) -> None:

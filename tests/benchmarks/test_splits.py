@@ -10,9 +10,8 @@ import pytest
 from p2o.frames.selection import select
 
 ROOT = Path(__file__).parents[2]
-SPLITS: dict[str, list[str]] = json.loads(
-    (ROOT / "baselines/p2o_baselines/suites/splits.json").read_text(encoding="utf-8")
-)
+FILE = "baselines/p2o_baselines/suites/splits.json"
+SPLITS: dict[str, list[str]] = json.loads((ROOT / FILE).read_text(encoding="utf-8"))
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), *sorted((ROOT / "benchmarks").glob("*.py"))]
 
 
@@ -41,6 +40,4 @@ def test_pages_name_lists_that_are_there_and_no_folder_outside(page: Path) -> No
 
 def test_a_command_of_the_pages_finds_its_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
-    assert select(SPLITS["train"] + SPLITS["test"], f"@{FILE}#test") == list(
-        range(84, 108)
-    )
+    assert select(SPLITS["train"] + SPLITS["test"], f"@{FILE}#test") == list(range(84, 108))

@@ -7,22 +7,17 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from p2o_study import sources
+from p2o_study import revision
 
 Edit = Callable[[str, str, str], None]
 """`edit("package/folder/module.py", old, new)`: the first `old` of the file is `new` for every later hash."""
-
-
-def forget() -> None:
-    for cached in (sources._code_of, sources.package_hash, sources.module_named):
-        cached.cache_clear()
 
 
 @contextmanager
 def edited_sources(monkeypatch: pytest.MonkeyPatch) -> Iterator[Edit]:
     """Yield the function that edits; afterwards hashes are those of the files again."""
     edits: dict[str, tuple[str, str]] = {}
-    original = sources.read_source
+    original = revision.read_source
 
     def read(path: Path) -> bytes:
         content = original(path)
@@ -33,14 +28,14 @@ def edited_sources(monkeypatch: pytest.MonkeyPatch) -> Iterator[Edit]:
 
     def replace(file: str, old: str, new: str) -> None:
         package, _, rest = file.partition("/")
-        home = sources.path_of(package)
+        home = revision.path_of(package)
         assert home is not None
         assert old in (home.parent / rest).read_text(encoding="utf-8"), f"{file} has no {old!r}"
         edits[file] = old, new
-        forget()
+        revision._code_of.cache_clear()
 
     with monkeypatch.context() as patch:
-        patch.setattr(sources, "read_source", read)
-        forget()
+        patch.setattr(revision, "read_source", read)
+        revision._code_of.cache_clear()
         yield replace
-    forget()
+    revision._code_of.cache_clear()

@@ -1,4 +1,4 @@
-"""The record of a simulated frame is cached, and read again when anything that the frame depends on changes."""
+"""Computed frames are identified by their recipe: records are cached, and hashes are not those of arrays."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import p2o_sim
 import pytest
 from p2o_study import frame_records, worker
 from p2o_study.frame_records import record_key
-from p2o_study.worker import FrameRecord, Plugins, ReadJob, Source
+from p2o_study.worker import FrameRecord, Identity, Plugins, ReadJob, Source, identity_of
 
 from tests.p2o_study.source_edits import Edit
 from tests.study_bench import PLUGIN
@@ -17,6 +18,9 @@ from tests.study_bench import PLUGIN
 DATA = "synthetic:?place=room&width_px=96&height_px=64&lidar=vlp-16&right=false"
 JOINED = '["poses@p2o-calib", {}]'
 ON_BOARDS = '{"data": "synthetic:", "calibrator": "acsc", "witness": "none"}'
+
+
+EXTRACTED = '{"data": "synthetic:", "extractor": "canny/rings", "matcher": "nearest", "witness": "none"}'
 
 
 def source(data: str = DATA, options: str = "{}", index: int = 0, accumulate: str = "") -> Source:
@@ -75,45 +79,52 @@ def test_what_a_frame_lacks_is_reported_also_with_a_cached_record(tmp_path: Path
         assert "the frame has no targets" in record.missing_inputs[ON_BOARDS]
 
 
-def test_frames_of_files_and_of_other_datasets_are_read_each_time() -> None:
-    assert record_key(source("kitti-raw:PATH")) == ""
-    assert record_key(source("vkitti2:PATH")) == ""
-    assert record_key(Source(Plugins(files=(str(PLUGIN),)), "tiny:", "{}", 0, "tiny/000")) == ""
+def test_a_frame_is_not_rendered_if_record_and_features_are_cached(
+    tmp_path: Path, rendered: Callable[[ReadJob], FrameRecord | None]
+) -> None:
+    job = ReadJob(source(), tmp_path, wanted=((EXTRACTED, "extractor"), (EXTRACTED, "cloud")))
+    frame_records.read(ReadJob(source(), tmp_path))
+    assert rendered(job) is not None
+    assert rendered(job) is None
 
 
-@pytest.mark.parametrize(
-    ("file", "old", "new"),
-    [
-        ("p2o_sim/synthetic.py", "BASELINE_M = ", "BASELINE_M = 0.01 + "),
-        ("p2o_sim/things/plants.py", "from __future__", "# read by a name that is put together\nfrom __future__"),
-        ("p2o/geometry/camera.py", "def project", "def unused() -> None: ...\n\n    def project"),
-        ("p2o/frames/sparse.py", "options.keep_rings > 1", "options.keep_rings > 2"),
-        ("p2o_study/worker.py", "_DIGEST_DECIMALS = ", "_DIGEST_DECIMALS = 1 + "),
-        ("p2o/cache.py", '"array {', '"an array {'),
-    ],
-)
-def test_code_that_alters_a_frame_or_its_digests_makes_records_stale(edit: Edit, file: str, old: str, new: str) -> None:
+def test_frames_of_files_and_of_other_datasets_are_read_each_time(tmp_path: Path) -> None:
+    tiny = Source(Plugins(files=(str(PLUGIN),)), "tiny:", "{}", 0, "tiny/000")
+    for read in (source(f"folder:{tmp_path}"), tiny):
+        assert record_key(read) == ""
+    record = frame_records.read(ReadJob(tiny, tmp_path))
+    assert record.inputs == worker.input_hashes(worker._frame(tiny))
+    assert record.digests == worker.content_digests(worker._frame(tiny))
+
+
+def test_hashes_are_those_of_the_recipe(monkeypatch: pytest.MonkeyPatch, edit: Edit) -> None:
+    def identity(*words: str, **values: object) -> Identity:
+        worker._opened.cache_clear()
+        found = identity_of(source(*words, **values))  # type: ignore[arg-type]
+        assert found is not None
+        return found
+
+    first, joined = identity(), identity(accumulate=JOINED)
+    assert first.input_hashes["sweep"] == first.input_hashes["cloud"]
+    assert len({*first.input_hashes.values()}) == 3
+    for others in (identity(DATA + "&scenes=2"), identity(DATA + "&seed=0")):
+        assert others == first
+    # An accumulated sweep leaves the image and the own sweep of the frame.
+    assert {name for name in first.input_hashes if first.input_hashes[name] != joined.input_hashes[name]} == {
+        "cloud",
+        "frame",
+    }
+    assert joined.content_digests == first.content_digests
+    known = {identity(options='{"seed": 1}').frame, identity(DATA + "&keep_rings=2").frame, first.frame, joined.joined}
+    known |= {identity(DATA + "&scenes=2", index=1).frame, identity(DATA + "&scenes=2", accumulate=JOINED).joined}
+    edit("p2o_plugins/accumulate/joining.py", "max_range_m=options.max_range_m)", "max_range_m=None)")
+    known.add(identity(accumulate=JOINED).joined)
+    assert len(known) == 7
+    monkeypatch.setattr(p2o_sim, "VERSION", p2o_sim.VERSION + 1)
+    assert identity().frame not in known
+
+
+def test_the_cached_record_has_the_version_of_the_algorithm(monkeypatch: pytest.MonkeyPatch) -> None:
     before = record_key(source())
-    assert before
-    edit(file, old, new)
+    monkeypatch.setattr(frame_records, "ALGORITHM", frame_records.ALGORITHM + 1)
     assert record_key(source()) != before
-
-
-def test_code_of_methods_leaves_records_valid(edit: Edit) -> None:
-    before = record_key(source())
-    edit("p2o_plugins/match/ogm.py", '"LRUB", pattern', '"LRU", pattern')
-    edit("p2o/run/pipeline.py", "import", "import zlib\nimport")
-    assert record_key(source()) == before
-
-
-def test_options_packages_and_accumulation_are_part_of_the_key(edit: Edit, monkeypatch: pytest.MonkeyPatch) -> None:
-    joined = source(accumulate=JOINED)
-    sources = [source(), source(index=1), source(options='{"seed": 1}'), source(DATA + "&keep_rings=2"), joined]
-    keys = {record_key(each) for each in sources}
-    assert len(keys) == len(sources)
-    edit("p2o/run/joined.py", "class JoinedFrames", "_UNUSED = 1\n\n\nclass JoinedFrames")
-    assert record_key(joined) in keys
-    edit("p2o/run/joined.py", "self._accumulate.past)[::-1]", "self._accumulate.past)")
-    assert record_key(joined) not in keys
-    monkeypatch.setattr(frame_records, "_packages", lambda: ["numpy 99"])
-    assert keys.isdisjoint(map(record_key, sources))

@@ -1,18 +1,22 @@
-"""The keys of rows and features change with what can alter a result, and with nothing else."""
+"""The keys of rows and features change with what can alter a result of a method, and with nothing outside of it."""
 
 from __future__ import annotations
 
+import importlib
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import p2o
 import pytest
+from p2o.host.registry import Offer
+from p2o.run.part import Part
 from p2o.run.recipe import Recipe
 from p2o_plugins.p2ornet import shipped
-from p2o_study import sources
-from p2o_study.cells import CANNOT_ALTER_A_POSE, Method, calibration_code
-from p2o_study.keys import features_key, method_content
-from p2o_study.sources import code_of
+from p2o_study import cells, keys, revision
+from p2o_study.cells import Method
+from p2o_study.keys import features_key, method_content, named_files
+from p2o_study.revision import code_of
 from p2o_study.study import check_study, parse_study
 
 from tests.p2o_study.source_edits import Edit
@@ -49,61 +53,52 @@ def registry() -> p2o.Registry:
     return p2o.Registry.load(environ={})
 
 
-def keys(registry: p2o.Registry) -> dict[str, str]:
-    """Return the key of each row of the study by its label."""
-    rows = check_study(parse_study(STUDY), registry)
-    return {row.label: Method.of(row, 0, "{}", {}, registry).key for row in rows}
+def changed(registry: p2o.Registry, change: Callable[[], object]) -> set[str]:
+    """Return the labels of the rows whose key is another one after a change."""
 
+    def row_keys() -> dict[str, str]:
+        rows = check_study(parse_study(STUDY), registry)
+        return {row.label: Method.of(row, 0, "{}", {}, registry).digest for row in rows}
 
-def changed(registry: p2o.Registry, *edits: Callable[[], object]) -> set[str]:
-    """Return the labels of the rows whose key is another one after the edits."""
-    before = keys(registry)
-    for change in edits:
-        change()
-    after = keys(registry)
+    before = row_keys()
+    change()
+    after = row_keys()
     return {label for label in before if before[label] != after[label]}
-
-
-@pytest.mark.parametrize(
-    ("file", "old", "new"),
-    [
-        ("p2o_formats/kalibr.py", "from __future__", "# a comment\nfrom __future__"),
-        ("p2o_formats/kalibr.py", "_KNOWN = ", "_KNOWN = None or "),
-        ("p2o_plugins/weights/MODEL_CARD.md", "a", "a word "),
-        ("p2o/run/pipeline.py", '"""', '"""Another docstring. '),
-        ("p2o/run/pipeline.py", "class Pipeline(Algorithm):\n", "class Pipeline(Algorithm):\n\n    # a comment\n"),
-        ("p2o/geometry/se3.py", "def inverse(", "def unused() -> int:\n    return 7\n\n\ndef inverse("),
-        ("p2o/geometry/se3.py", ") -> Float:", ") -> object:"),
-        ("p2o_plugins/match/ogm.py", 'help="', 'help="Words. '),
-        ("p2o_plugins/match/ogm.py", 'summary="', 'summary="Words. '),
-        ("p2o_plugins/p2ornet/training.py", "import", "import zlib\nimport"),
-        ("p2o_study/report/page.py", "import", "import zlib\nimport"),
-        ("p2o/__init__.py", "__getattr__, ", "_MORE = 1\n__getattr__, "),
-    ],
-)
-def test_what_cannot_alter_a_result_changes_no_key(
-    registry: p2o.Registry, edit: Edit, file: str, old: str, new: str
-) -> None:
-    assert changed(registry, lambda: edit(file, old, new)) == set()
 
 
 @pytest.mark.parametrize(
     ("file", "old", "new", "labels"),
     [
+        ("p2o_plugins/match/ogm.py", "from __future__", "# a comment\nfrom __future__", set()),
+        ("p2o_plugins/match/ogm.py", '"""', '"""Another docstring. ', set()),
+        ("p2o_plugins/p2ornet/training.py", "import", "import zlib\nimport", set()),
+        ("p2o_plugins/image/p2ornet.py", "return drawn(", "return 1 + drawn(", set()),
+        ("p2o_plugins/weights/MODEL_CARD.md", "a", "a word ", set()),
+        ("p2o_plugins/hooks.py", "import", "import zlib\nimport", set()),
+        ("p2o_formats/kalibr.py", "_KNOWN = ", "_KNOWN = None or ", set()),
+        ("p2o_sim/synthetic.py", "BASELINE_M = ", "BASELINE_M = 0.01 + ", set()),
         ("p2o_baselines/nearest.py", "-weight, *place.T", "-2 * weight, *place.T", {"nearest"}),
-        ("p2o_plugins/match/ogm.py", '"LRUB", pattern', '"LRU", pattern', {"nearest", "kitti", "synthetic"}),
+        ("p2o_plugins/match/ogm.py", '"LRUB", pattern', '"LRU", pattern', ALL - {"koo"}),
+        ("p2o_plugins/p2ornet/thinning.py", "import", "import zlib\nimport", ALL - {"koo"}),
         ("p2o_plugins/cloud/scattered.py", "_NEAREST = ", "_NEAREST = 1 + ", ALL - {"koo"}),
-        ("p2o/geometry/se3.py", "_FARTHEST_M = ", "_FARTHEST_M = 1 + ", ALL),
-        ("p2o/geometry/pose_error.py", "AXES = ", "AXES = () + ", ALL),
-        ("p2o/host/guard.py", "    check_features(offer, features)\n", "    pass\n", ALL),
-        ("p2o/frames/frame.py", "_LONGEST_CAMERA = ", "_LONGEST_CAMERA = 1 + ", ALL),
-        ("p2o/runtime/native.py", "import os\n", "import os\nos.environ['OMP_DYNAMIC'] = '1'\n", ALL),
+        ("p2o_baselines/boards/pairing.py", "import", "import zlib\nimport", {"koo"}),
     ],
 )
 def test_code_changes_the_keys_of_the_rows_that_use_it(
     registry: p2o.Registry, edit: Edit, file: str, old: str, new: str, labels: set[str]
 ) -> None:
     assert changed(registry, lambda: edit(file, old, new)) == labels
+
+
+def test_code_of_p2o_counts_by_the_version_of_the_algorithm(
+    registry: p2o.Registry, edit: Edit, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert changed(registry, lambda: edit("p2o/geometry/se3.py", "_FARTHEST_M = ", "_FARTHEST_M = 1 + ")) == set()
+    assert cells.ALGORITHM == keys.ALGORITHM == p2o.ALGORITHM
+    assert changed(registry, lambda: monkeypatch.setattr(cells, "ALGORITHM", p2o.ALGORITHM + 1)) == ALL
+    before = features_key(part(), "data")
+    monkeypatch.setattr(keys, "ALGORITHM", p2o.ALGORITHM + 1)
+    assert features_key(part(), "data") != before
 
 
 def test_weights_change_the_keys_of_the_rows_that_read_them(
@@ -130,46 +125,102 @@ def test_declared_data_files_are_those_of_the_options(registry: p2o.Registry) ->
 
 def test_every_method_that_locates_its_package_declares_its_data_files(registry: p2o.Registry) -> None:
     """A method without a declaration counts with all data of the package, also with weights that it never reads."""
-    for name in ("p2ornet", "hed", "calibnet", "calibrcnn", "lccnet", "regnet", "rggnet", "picked"):
-        [offer] = registry.named(name)
-        assert code_of(offer.method.build).locates_files, name
-        assert offer.method.data_files is not None, name
+    methods = [offer.method for offer in registry.offers if offer.kind is not p2o.Kind.DATASET]
+    code = {method.name: (method, code_of(method, method.options)) for method in methods}
+    locating = {name for name, (_, own) in code.items() if own.locates_files and not own.resolves_methods}
+    assert {"p2ornet", "hed", "calibnet", "picked"} <= locating
+    assert [name for name in locating if code[name][0].data_files is None] == []
 
 
 def test_a_method_that_resolves_others_by_name_counts_with_all_plugins(registry: p2o.Registry, edit: Edit) -> None:
-    def code(method: str) -> object:
-        part = Recipe(calibrator=method, witness="none").resolve(registry).parts["calibrator"]
-        return {name: value for name, value in method_content(part).items() if name != "name"}
+    def contents(method: str) -> object:
+        return method_content(Recipe(calibrator=method, witness="none").resolve(registry).parts["calibrator"])
 
-    before = code("cues"), code("koo")
+    before = [contents(method) for method in ("cues", "line-time", "koo")]
     edit("p2o_plugins/cloud/rings.py", "def ", "def unused() -> None: ...\n\n\ndef ")
-    assert code("cues") != before[0]
-    assert code("koo") == before[1]
+    after = [contents(method) for method in ("cues", "line-time", "koo")]
+    assert [old == new for old, new in zip(before, after, strict=True)] == [False, False, True]
 
 
-def test_keys_of_features_change_with_the_extractor_and_its_input_alone(registry: p2o.Registry, edit: Edit) -> None:
-    def key() -> str:
-        return features_key(
-            Recipe(extractor="canny/rings", matcher="nearest").resolve(registry).parts["extractor"], "data"
-        )
-
-    before = key()
-    for file, old, new in (
-        ("p2o/calibration/algorithm.py", "_FAR_DEG, _FAR_M = ", "_FAR_DEG, _FAR_M = 7.0, 0.5  # "),
-        ("p2o_plugins/cloud/scattered.py", "_NEAREST = ", "_NEAREST = 1 + "),
-        ("p2o_plugins/weights/MODEL_CARD.md", "a", "a word "),
-    ):
-        edit(file, old, new)
-        assert key() == before, file
-    edit("p2o/frames/scale.py", "LONGEST_FOCAL_PX = ", "LONGEST_FOCAL_PX = 1 + ")
-    assert key() != before
+def part(stage: str = "matcher", **options: object) -> Part:
+    words = {"options": {stage: options}} if options else {}
+    return Recipe.of(**words).resolve(p2o.Registry.load(environ={})).parts[stage]
 
 
-def test_the_calibration_itself_counts_and_what_shows_or_exchanges_results_does_not() -> None:
-    modules = {name.partition(":")[0] for name in calibration_code().definitions}
-    rooms = {".".join(module.split(".")[:2]) for module in modules}
-    assert {"p2o.calibration", "p2o.features", "p2o.geometry", "p2o.problems", "p2o.results"} <= rooms
-    assert {"p2o.run.assembly", "p2o.host.guard", "p2o.frames.image", "p2o_study.worker"} <= modules
-    for left in CANNOT_ALTER_A_POSE:
-        assert not any(module == left or module.startswith(f"{left}.") for module in modules)
-        assert sources.path_of(left) is not None, f"{left} is no module any more"
+def test_keys_of_features_change_with_data_method_options_and_code(edit: Edit) -> None:
+    known = [
+        features_key(part(), "data"),
+        features_key(part(), "other data"),
+        features_key(part(sides="LR"), "data"),
+        features_key(part("solver"), "data"),
+    ]
+    assert len(set(known)) == 4
+    assert features_key(part(sides="LRUB"), "data") == known[0], "a stated default is the default"
+    edit("p2o_plugins/cloud/scattered.py", "_NEAREST = ", "_NEAREST = 1 + ")
+    assert features_key(part(), "data") == known[0]
+    edit("p2o_plugins/match/ogm.py", '"LRUB", pattern', '"LRU", pattern')
+    assert features_key(part(), "data") not in known
+
+
+def test_files_that_options_name_count_with_their_content(tmp_path: Path) -> None:
+    weights = tmp_path / "weights.bin"
+    options = {"weights": str(weights), "more": [{"table": str(tmp_path / "none")}, 3, "text", str(tmp_path)]}
+    assert named_files(options) == {}
+    weights.write_bytes(b"1")
+    first = named_files(options)
+    weights.write_bytes(b"2")
+    assert list(first) == [str(weights)]
+    assert named_files(options) != first
+
+
+CODE = {
+    "__init__.py": "",
+    "method.py": "from typing import TYPE_CHECKING\nfrom . import inner\nfrom .lazy import late\nPLACE = __file__\n"
+    "if TYPE_CHECKING:\n    from .typed import T\n"
+    "def build(options, x: int = inner.x):\n    from .inside import y\n    return PLACE, y\n",
+    "inner.py": "import numpy\nx = 1\n",
+    "inside.py": "y = 1\n",
+    "typed.py": "T = 1\n",
+    "apart.py": "z = 1\n",
+    "lazy/__init__.py": "def __getattr__(name):\n    return name\n",
+    "lazy/late.py": "a = 1\n",
+    "weights.bin": "1",
+    "README.md": "words 1",
+}
+EDITS = {
+    "nothing": ("inner.py", "x", "x", False),
+    "an imported module": ("inner.py", "1", "2", True),
+    "what a function imports": ("inside.py", "1", "2", True),
+    "what is imported for type checking": ("typed.py", "1", "2", False),
+    "a comment and a docstring": ("method.py", "    return", "    'words'  # more\n    return", False),
+    "a module that is not imported": ("apart.py", "1", "2", False),
+    "a module of a lazy package": ("lazy/late.py", "1", "2", True),
+    "data": ("weights.bin", "1", "2", True),
+    "a document": ("README.md", "1", "2", False),
+}
+
+
+@pytest.mark.parametrize("case", EDITS)
+def test_imported_modules_count_and_data_where_their_place_is_used(
+    case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file, old, new, changes = EDITS[case]
+    # A package of its own for every case: Python imports a name only once.
+    name = f"acme_{case.replace(' ', '_')}"
+    contents = []
+    for version in ("old", "new"):
+        folder = tmp_path / version / name
+        for other, text in CODE.items():
+            assert other != file or old in text
+            (folder / other).parent.mkdir(parents=True, exist_ok=True)
+            (folder / other).write_text(text.replace(old, new) if version == "new" and other == file else text)
+        with monkeypatch.context() as patch:
+            patch.syspath_prepend(str(folder.parent))
+            for cached in (revision._code_of, revision.data_digest, revision.path_of):
+                cached.cache_clear()
+            build = importlib.import_module(f"{name}.method").build
+            method = p2o.Method(name="acme", build=build, summary="A method.")
+            contents.append(method_content(Part(Offer(p2o.Kind.MATCHER, method, "acme", "", ""), p2o.Options())))
+            for module in [m for m in sys.modules if m.startswith(name)]:
+                del sys.modules[module]
+    assert (contents[0] != contents[1]) == changes

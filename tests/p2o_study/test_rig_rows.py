@@ -7,12 +7,11 @@ import p2o
 import pytest
 from p2o import se3
 from p2o.errors import InputError
-from p2o_study.cells import Group, calibration_code, rig_code
+from p2o_study.cells import Group
 from p2o_study.row import Row
 from p2o_study.worker import FrameRecord, Plugins, Source
 
 from tests.p2o_study.benchmark_board import SUITE, Board
-from tests.p2o_study.source_edits import Edit
 from tests.study_bench import HEAD, TRUSTED, Bench
 from tests.study_plugin import CAMERA, truth_of
 
@@ -84,13 +83,6 @@ def test_a_suite_measures_and_states_rigs_and_external_methods_have_no_poses_of_
     starts = board.root / "starts.csv"
     assert board.command("starts", "--out", str(starts)) == 0
     assert [line.count(";") for line in starts.read_text().splitlines()[1:]] == [1] * 10
-
-
-def test_rows_of_a_rig_depend_on_the_code_of_the_common_calibration_and_others_do_not(edit: Edit) -> None:
-    before = rig_code().hash, calibration_code().hash
-    edit("p2o/run/rig_solve.py", "_MOST_INTERVALS, _MARGIN_PX = 2000,", "_MOST_INTERVALS, _MARGIN_PX = 2001,")
-    assert rig_code().hash != before[0]
-    assert calibration_code().hash == before[1]
 
 
 def record(name: str, **values: object) -> FrameRecord:

@@ -15,6 +15,7 @@ from p2o.runtime.lazy import attach
 
 if TYPE_CHECKING:
     from p2o import reading as reading, solving as solving
+    from p2o.calibration.version import ALGORITHM as ALGORITHM
     from p2o.arrays import Bool as Bool, Float as Float, Int as Int, Int8 as Int8, UInt8 as UInt8
     from p2o.errors import InputError as InputError, MethodUnavailable as MethodUnavailable, P2OError as P2OError
     from p2o.errors import PluginError as PluginError, UnknownNameError as UnknownNameError

@@ -13,10 +13,9 @@ from typing import Any
 
 from p2o.arrays import Float
 from p2o.cache import content_hash
+from p2o.calibration.version import ALGORITHM
 from p2o.errors import InputError, P2OError
-from p2o.frames.frame import Frame
 from p2o.frames.selection import select
-from p2o.host import guard
 from p2o.host.guard import GuardedDataset
 from p2o.host.registry import Registry
 from p2o.run.assembly import INPUTS
@@ -31,7 +30,6 @@ from p2o_study.keys import features_key, method_content
 from p2o_study.row import GIVEN, UNREADABLE, Case, Environment, Planned, Row, frame_digest, rounded_pose
 from p2o_study.row import Frame as FrameOfCase
 from p2o_study.row import Method as MethodOfRow
-from p2o_study.sources import Code, code_of
 from p2o_study.study import ALL_JOINT, BY_CAMERA, BY_RIG, MAX_SEEDS, StudyRow, with_place
 from p2o_study.worker import FrameRecord, Plugins, Source
 
@@ -42,47 +40,16 @@ _INPUT_STAGES = ("data", "accumulate")
 _OF_CASE = ("data", "frames", "perturb", "options")
 """Words of a recipe that describe what is calibrated, not the method."""
 
-CANNOT_ALTER_A_POSE = (
-    # They resolve methods and read frames: the outcome is in the key by its content.
-    "p2o.cache",
-    "p2o.host.hookspecs",
-    "p2o.host.registry",
-    "p2o.run.joined",
-    "p2o.run.recipe",
-    "p2o_study.keys",
-    "p2o_study.sources",
-    # They store, display and export results.
-    "p2o.calibration_files",
-    "p2o.cli",
-    "p2o.draw",
-    "p2o_testing",
-    "p2o.training_loop",
-    "p2o_formats",
-    "p2o_pages",
-    "p2o_sim",
-    "p2o_study.machine",
-    "p2o_study.parallel",
-    "p2o_study.report",
-    "p2o_study.row",
-    "p2o_study.rows",
-    "p2o_study.statistics",
-)
-"""Modules that are not part of the key of a row, unless a method uses them itself."""
-
 
 @dataclass(frozen=True, eq=False)
 class Method:
-    """The methods of one row and seed: `recipe` (JSON) for workers, `key` the hash of all that a result depends on.
-
-    `digest` is the hash of code, weights and options alone: without packages, seed and initial guess.
-    """
+    """The methods of one row and seed: `recipe` (JSON) for workers, `digest` the hash of code, weights and options."""
 
     recipe: str
     plan: Plan
     described: Mapping[str, Any]
     versions: Mapping[str, str]
     damage: Damage
-    key: str
     digest: str
 
     @classmethod
@@ -107,13 +74,12 @@ class Method:
                 if stage != "data"
             },
             "pipeline": described["options"].get("pipeline"),
-            "damage": damage_content(damage) if damage.missing_edges else None,
-            "code": (rig_code() if row.joint == BY_RIG else calibration_code()).hash,
+            "damage": damage.model_dump(mode="json") if damage.missing_edges else None,
+            "rig": row.joint == BY_RIG,
+            "algorithm": ALGORITHM,
         }
-        acting = {**content, "seed": seed, "perturb": recipe.perturb, "versions": versions}
         words = recipe.model_dump(mode="json", exclude_unset=True)
-        keys = content_hash(acting), content_hash(content)
-        return cls(json.dumps(words, sort_keys=True), plan, described, versions, damage, *keys)
+        return cls(json.dumps(words, sort_keys=True), plan, described, versions, damage, content_hash(content))
 
     @cached_property
     def prepared(self) -> tuple[tuple[str, str, Part], ...]:
@@ -133,22 +99,6 @@ class Method:
     def extractors(self) -> dict[str, tuple[str, str]]:
         """Recipe and stage by part name, for each stage whose output can be cached."""
         return {name: (self.recipe, stage) for stage, name, _ in self.prepared}
-
-
-def damage_content(damage: Damage) -> list[Any]:
-    """Return everything of the damage that a result depends on: options and code."""
-    return [damage.model_dump(mode="json"), code_of(Damage, leave_out=CANNOT_ALTER_A_POSE).hash]
-
-
-def calibration_code() -> Code:
-    """Return the definitions that every row depends on, in addition to those of its methods."""
-    # Results depend on parts and frames, although recipe and registry, which create them, are left out.
-    return code_of(worker.calibrate, Part, guard.build, Frame, leave_out=CANNOT_ALTER_A_POSE)
-
-
-def rig_code() -> Code:
-    """Return the definitions that every row of a rig depends on, in addition to those of its methods."""
-    return code_of(worker.calibrate_rig, Part, guard.build, Frame, leave_out=CANNOT_ALTER_A_POSE)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Keys of extracted features: the content of the image or sweep, the method, its options, its code and its files."""
+"""Keys of extracted features: the content of the image or sweep, and the method with options, code and data files."""
 
 from __future__ import annotations
 
@@ -11,45 +11,43 @@ from pathlib import Path
 from typing import Any
 
 from p2o.cache import content_hash
+from p2o.calibration.version import ALGORITHM
 from p2o.errors import P2OError
 from p2o.files.input_file import expanded
-from p2o.frames.frame import Frame
-from p2o.frames.scale import image_at_scale
 from p2o.host.registry import plugin_packages
 from p2o.run.part import Part
 
-from p2o_study.sources import Code, code_of, package_hash
+from p2o_study.revision import Code, code_of, data_digest
 
-_FORMAT = 4
+_FORMAT = 5
 _RECENT_S = 2.0
 
 
 def features_key(part: Part, data_hash: str) -> str:
     """Return the cache key of the features of an image or sweep with this content hash."""
-    key = {"format": _FORMAT, "data": data_hash, "kind": part.offer.kind.value, "version": part.offer.version}
-    return content_hash({**key, "method": method_content(part), "input": code_of(Frame, image_at_scale).hash})
+    key = {"format": _FORMAT, "algorithm": ALGORITHM, "data": data_hash, "kind": part.offer.kind.value}
+    return content_hash({**key, "version": part.offer.version, "method": method_content(part)})
 
 
 def method_content(part: Part) -> dict[str, Any]:
-    """Return everything of a method that affects its results: name, options, code and data files.
+    """Return everything of a method that affects its results, except p2o: name, options, code and data files.
 
-    For a method that resolves other methods by name, this includes all code of all plugins.
+    For a method that resolves other methods by name, this includes all code and data files of all plugins.
     """
     method, options = part.offer.method, part.options.model_dump(mode="json")
-    code = code_of(method.build, type(part.options))
-    content: dict[str, Any] = {"name": part.offer.full_name, "options": options, "code": code.hash}
+    code = code_of(method, type(part.options))
+    content: dict[str, Any] = {"name": part.offer.full_name, "options": options, "code": code.digest}
     content |= {"needs": sorted(method.needs), "gives": sorted(method.gives)}
     content |= {"files": named_files(options), "data files": _data_files(part, code)}
-    if "p2o.host.registry:Registry" in code.definitions:
-        packages = sorted(plugin_packages())
-        content["other methods"] = [package_hash(name, code=is_code) for name in packages for is_code in (True, False)]
+    if code.resolves_methods:
+        content["other methods"] = [data_digest(package) for package in sorted(plugin_packages())]
     return content
 
 
 def _data_files(part: Part, code: Code) -> list[str]:
     """Return the hashes of the declared data files of a method, else of all in the packages whose folder it locates."""
     if part.offer.method.data_files is None:
-        return [package_hash(package, code=False) for package in sorted(code.locates_files)]
+        return [data_digest(package) for package in sorted(code.locates_files)]
     try:
         return [_file_hash(path) for path in part.offer.method.data_files(part.options)]
     except (P2OError, OSError, ImportError):

@@ -26,6 +26,7 @@ from p2o.errors import InputError, P2OError, one_line
 from p2o.frames.frame import Frame
 from p2o.geometry import se3
 from p2o.geometry.camera import Camera
+from p2o.host.guard import GuardedDataset
 from p2o.host.method import Kind
 from p2o.host.registry import Registry
 from p2o.host.slots import WITNESS
@@ -41,7 +42,7 @@ from p2o.run.rig_motion import CameraSweeps, with_common_motions
 from p2o.run.rig_solve import RigCameraFrames, solve_rig
 
 from p2o_study.damage import Damage
-from p2o_study.keys import features_key
+from p2o_study.keys import features_key, method_content
 from p2o_study.machine import machine_info
 from p2o_study.parallel import limit_threads
 from p2o_study.row import Row, brief_figures
@@ -112,7 +113,7 @@ class FrameRecord:
     """The data of a frame that planning needs; `inputs` are content hashes of its parts.
 
     `digests` are hashes of image, sweep and calibration that are equal on all machines (`portable_hash`), `contents`
-    the words for its optional content, such as "rings".
+    the words for its optional content, such as "rings". Hashes of a computed frame are those of its `Identity`.
     `missing_inputs` describes by recipe of the `checks` what the frame lacks. For a frame that cannot be read,
     `failure` is the traceback and `reason` one line. `cache_error` is the reason if features could not be cached.
     """
@@ -189,8 +190,8 @@ def read(job: ReadJob) -> FrameRecord:
     """Read a frame and return its record; a frame that cannot be read has a `failure`."""
     source, cache = job.source, _BestEffortCache(job.cache)
     try:
-        frame = _frame(source)
-        hashes = input_hashes(frame)
+        frame, identity = _frame(source), identity_of(source)
+        hashes = input_hashes(frame) if identity is None else identity.input_hashes
         missing = {recipe: _missing_input(_plan(source.plugins, recipe), frame) for recipe in job.checks}
         missing_inputs = {recipe: misfit for recipe, misfit in missing.items() if misfit}
         for recipe, stage in () if missing_inputs else job.wanted:
@@ -208,7 +209,7 @@ def read(job: ReadJob) -> FrameRecord:
         source,
         hashes,
         **kept,
-        digests=content_digests(frame),
+        digests=content_digests(frame) if identity is None else identity.content_digests,
         contents=tuple(word for word, find in FRAME_CONTENT.items() if find(frame) is not None),
         missing_inputs=missing_inputs,
         cache_error=cache.cache_error,
@@ -223,6 +224,51 @@ def read_failed(job: ReadJob, problem: P2OError) -> FrameRecord:
 def _failed_record(source: Source, reason: str, failure: str) -> FrameRecord:
     hashes = dict.fromkeys(("image", "cloud", "frame", "sweep"), UNREADABLE)
     return FrameRecord(source, hashes, reason=reason, failure=failure)
+
+
+@dataclass(frozen=True)
+class Identity:
+    """Digests of everything that determines a computed frame: `frame` without, `joined` with an accumulated sweep.
+
+    Arrays of such frames differ between processors in the last bits, so that their hashes are not those of arrays.
+    """
+
+    frame: str
+    joined: str
+
+    @classmethod
+    def of(cls, dataset: GuardedDataset, index: int, accumulator: Part | None) -> Identity | None:
+        """Return the identity of a frame, None for frames that are read; `dataset` has no accumulated sweeps."""
+        identity = dataset.identity(index)
+        if identity is None:
+            return None
+        frame = content_hash(identity)
+        if accumulator is None:
+            return cls(frame, frame)
+        # The neighbours of a frame are unknown until they are computed: all frames of the dataset count.
+        return cls(frame, content_hash([frame, _all_identities(dataset), method_content(accumulator)]))
+
+    @property
+    def input_hashes(self) -> dict[str, str]:
+        """The hashes of `input_hashes`."""
+        words = {"image": (self.frame, "image"), "cloud": (self.joined, "cloud"), "sweep": (self.frame, "cloud")}
+        return {name: content_hash(word) for name, word in {**words, "frame": (self.joined, "frame")}.items()}
+
+    @property
+    def content_digests(self) -> dict[str, str]:
+        """The hashes of `content_digests`."""
+        words = {"image": "image", "sweep": "cloud", "calibration": "calibration"}
+        return {name: content_hash((self.frame, word)) for name, word in words.items()}
+
+
+@lru_cache(maxsize=8)
+def _all_identities(dataset: GuardedDataset) -> str:
+    return content_hash([dataset.identity(index) for index in range(len(dataset))])
+
+
+def identity_of(source: Source) -> Identity | None:
+    """Return the identity of a computed frame, None for one that is read; the frame is not computed."""
+    return Identity.of(_opened(replace(source, index=0, name="", accumulate="")), source.index, _accumulator(source))
 
 
 def input_hashes(frame: Frame) -> dict[str, str]:
@@ -464,15 +510,24 @@ def _plan(plugins: Plugins, recipe: str) -> Plan:
 
 
 @lru_cache(maxsize=8)
+def _opened(source: Source) -> GuardedDataset:
+    """Return the dataset of a source without index, name and accumulator."""
+    return open_dataset(source.data, _registry(source.plugins), json.loads(source.options))
+
+
+@lru_cache(maxsize=8)
 def _dataset(source: Source) -> Any:
     """Return the dataset of a source without index and name, with accumulated sweeps if it has an accumulator."""
-    registry = _registry(source.plugins)
-    dataset = open_dataset(source.data, registry, json.loads(source.options))
+    dataset, accumulator = _opened(replace(source, accumulate="")), _accumulator(source)
+    return dataset if accumulator is None else JoinedFrames(dataset, accumulator.build())
+
+
+def _accumulator(source: Source) -> Part | None:
     if not source.accumulate:
-        return dataset
+        return None
     name, options = json.loads(source.accumulate)
-    offer = registry.find(Kind.ACCUMULATOR, name)
-    return JoinedFrames(dataset, Part(offer, offer.method.options.model_validate(options)).build())
+    offer = _registry(source.plugins).find(Kind.ACCUMULATOR, name)
+    return Part(offer, offer.method.options.model_validate(options))
 
 
 class _Recent(Generic[_Key, _Value]):

@@ -10,6 +10,7 @@ import numpy as np
 import p2o
 import pytest
 from p2o import Frame, Kind, Method, PluginError, Result, Status
+from p2o.frames.frame import LazyFrames
 from p2o.host.guard import build
 from p2o.host.registry import Offer
 from p2o_testing import stage
@@ -74,3 +75,17 @@ def test_a_method_that_prepares_no_data_is_refused_with_the_name_of_the_frame(
     frame = stage.frame()
     with pytest.raises(PluginError, match=f"prepare returned {name} for {frame.name}; expected the data of the frame"):
         guarded(kind, Recorder(lambda _: value)).prepare(frame)
+
+
+def test_a_dataset_may_identify_computed_frames() -> None:
+    def identity(*values: Any) -> Any:
+        dataset = LazyFrames({"a": 1}, lambda _: stage.frame(), identify=(lambda _: values[0]) if values else None)
+        return guarded(Kind.DATASET, dataset).identity(0)
+
+    shared = {"forget_rings": False, "keep_rings": 1}
+    assert identity() is None
+    assert identity(None) is None
+    assert identity({"seed": 3}) == ["fake@acme", {"seed": 3}, shared]
+    for value in (np.ones(3), float("nan"), {"options": p2o.Options()}):
+        with pytest.raises(PluginError, match=r"fake.*: identity of frame 0: .*; expected values of JSON, or None"):
+            identity(value)

@@ -240,11 +240,13 @@ class LazyFrames(Sequence[Frame]):
     """Frames that are read one by one with `read(entry)`; `entries` maps names, in order, to the argument of `read`.
 
     `skipped` maps names of excluded frames to the reason, which names the missing file. Slices are lazy, too.
+    `identify(entry)` returns everything that determines a computed frame as JSON.
     """
 
     entries: Mapping[str, Any]
     read: Callable[[Any], Frame]
     skipped: Mapping[str, str] = field(default_factory=dict)
+    identify: Callable[[Any], Any] | None = None
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -263,6 +265,10 @@ class LazyFrames(Sequence[Frame]):
         if isinstance(names, str):
             return self.read(self.entries[names])
         return replace(self, entries={name: self.entries[name] for name in names})
+
+    def identity(self, index: int) -> Any:
+        """Return everything that determines a computed frame (JSON), None without `identify`."""
+        return None if self.identify is None else self.identify(self.entries[self.names[index]])
 
     def frame(self, name: str) -> Frame:
         """Return the frame of a name.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import inspect
+import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -310,6 +311,23 @@ class GuardedDataset(Sequence[Frame]):
         frame = sparse(frame, self._sparse)
         remark = (*centre_remark(frame.camera), *range_remark(frame.cloud))
         return replace(frame, warnings=(*frame.warnings, *remark)) if remark else frame
+
+    def identity(self, index: int) -> Any:
+        """Return everything that determines a computed frame (JSON); None if its content has to be read.
+
+        This is the optional method `identity(index)` of a dataset, with the name of the dataset and the options that
+        all datasets share. Raises PluginError for a value that JSON cannot represent.
+        """
+        own = getattr(self._dataset, "identity", None)
+        with watch(self._offer, f"identifying frame {self.names[index]}"):
+            identity = None if own is None else own(index)
+        if identity is None:
+            return None
+        try:
+            json.dumps(identity, allow_nan=False)
+        except (TypeError, ValueError) as problem:
+            raise fault(self._offer, f"identity of frame {index}: {problem}", "values of JSON, or None") from problem
+        return [self._offer.full_name, identity, self._sparse.model_dump(include=set(SparseOptions.model_fields))]
 
 
 def _pose(offer: Offer, value: Any) -> Float:

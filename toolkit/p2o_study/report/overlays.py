@@ -24,7 +24,7 @@ from p2o_study.keys import features_key
 from p2o_study.report.worst import error_rank
 from p2o_study.row import Row, frame_digest
 from p2o_study.summary import Summary
-from p2o_study.worker import content_digests
+from p2o_study.worker import Identity, content_digests
 
 if TYPE_CHECKING:
     from p2o.frames.frame import Frame
@@ -113,7 +113,7 @@ def draw_all(
             for w in own:
                 if w.frame == name:
                     done += 1
-                    _check_content(w, frame)
+                    _check_content(w, source.digest(frame))
                     images.add(w, *source.drawn(w.run, frame))
     return images
 
@@ -126,7 +126,7 @@ def drawn_run(run: Row, text: str, registry: Registry) -> tuple[Frame, UInt8, UI
     source = _opened(text, run, registry)
     _check_names([Wanted(run, run.frames[0])], text, source.dataset.names)
     frame = source.frame(run.frames[0])
-    _check_content(Wanted(run, run.frames[0]), frame)
+    _check_content(Wanted(run, run.frames[0]), source.digest(frame))
     return frame, *source.drawn(run, frame)
 
 
@@ -140,15 +140,22 @@ def _by_recipe(wanted: Sequence[Wanted]) -> Iterable[list[Wanted]]:
 
 @dataclass(frozen=True)
 class _Source:
-    """The frames of one recipe and the methods whose features are drawn."""
+    """The frames of one recipe and the methods whose features are drawn; `identity` returns that of a frame."""
 
     dataset: GuardedDataset | JoinedFrames
+    identity: Callable[[int], Identity | None]
     assembly: Assembly
     damage: Damage
 
     def frame(self, name: str) -> Frame:
         frame: Frame = self.dataset[self.dataset.names.index(name)]
         return frame
+
+    def digest(self, frame: Frame) -> str:
+        """Return the digest of a frame as rows have it."""
+        identity = self.identity(self.dataset.names.index(frame.name))
+        digests = content_digests(frame) if identity is None else identity.content_digests
+        return frame_digest(digests, frame.camera_from_lidar)
 
     def drawn(self, run: Row, frame: Frame) -> tuple[UInt8, UInt8]:
         """Return the overlays at the initial guess and at the estimate of a run."""
@@ -180,7 +187,12 @@ def _opened(text: str, run: Row, registry: Registry) -> _Source:
         data_options = {**run.case.options, **data_options}
     words = {**run.method.words, "data": f"{name}:", "options": {**options, "data": data_options}}
     plan = Recipe.of(**words).resolve(registry)
-    return _Source(plan.dataset(), Assembly.of(plan.parts, plan.pipeline, _kept), damage)
+    dataset: GuardedDataset = plan.parts["data"].build()
+
+    def identity(index: int) -> Identity | None:
+        return Identity.of(dataset, index, plan.parts.get("accumulate"))
+
+    return _Source(plan.joined(dataset), identity, Assembly.of(plan.parts, plan.pipeline, _kept), damage)
 
 
 def _kept(part: Part) -> Any:
@@ -209,9 +221,9 @@ def _check_names(wanted: Sequence[Wanted], text: str, names: Sequence[str]) -> N
         )
 
 
-def _check_content(wanted: Wanted, frame: Frame) -> None:
+def _check_content(wanted: Wanted, digest: str) -> None:
     known = next(known for known in wanted.run.case.frames if known.name == wanted.frame)
-    if known.content != frame_digest(content_digests(frame), frame.camera_from_lidar):
+    if known.content != digest:
         raise InputError(
             "this frame differs from that of the study",
             where=wanted.frame,
