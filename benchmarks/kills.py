@@ -182,9 +182,6 @@ def _alive(session: int) -> list[str]:
     return alive
 
 
-# --- studies -------------------------------------------------------------------------------------------------------
-
-
 class StudyOfStreets(Subject):
     """A small study of synthetic streets, with the rows of an undisturbed run in `home`."""
 
@@ -241,10 +238,8 @@ joint = 2
         return [f"{len(different)} rows differ in the end, such as {different[0]}"] if different else []
 
 
-# --- fleets: their runs are forks of a server that has imported most modules, which saves this time in each -----------
-
 _FORKS = multiprocessing.get_context("forkserver")
-_FORKS.set_forkserver_preload(["p2o_fleet.run", "p2o.run.pipeline", "distributed"])
+_FORKS.set_forkserver_preload(["p2o_fleet.run", "p2o.run.pipeline", "distributed"])  # saves imports in each run
 
 
 @dataclass

@@ -91,11 +91,6 @@ class Job:
     others: tuple[int, ...] = ()
     turned_deg: float = 0.0
 
-    @property
-    def kind(self) -> str:
-        """Right, or wrong."""
-        return "wrong" if self.others or self.turned_deg else "right"
-
     def views(self, frames: Sequence[Sample]) -> list[View]:
         """Return what is calibrated."""
         views = [frames[number].view for number in self.frames]
@@ -136,11 +131,11 @@ def collect(rig: Rig, out: Path, most: int) -> None:
         key = f"{rig.name} {job}"
         if key in known:
             continue
-        truth = frames[job.frames[0]].truth
+        truth, kind = frames[job.frames[0]].truth, "wrong" if job.others or job.turned_deg else "right"
         rng = np.random.default_rng([job.seed, job.frames[0], len(job.frames)])
         with _Recorded() as recorded:
             result = pipeline.solve(job.views(frames), wrong_start(truth, START_DEG, START_M, rng))
-        row = {"key": key, "rig": rig.name, "kind": job.kind, "truth_deg": rig.truth_deg, "truth_m": rig.truth_m}
+        row = {"key": key, "rig": rig.name, "kind": kind, "truth_deg": rig.truth_deg, "truth_m": rig.truth_m}
         add_row(file, row | measured(result, truth, recorded.budget))
     print(f"{rig.name}: {len(frames)} frames", flush=True)
 
