@@ -237,7 +237,7 @@ MUTATIONS = (
     ),
     Mutation(
         "edge-to-the-parent", "p2o_rig", "flipped sign", "toolkit/p2o_rig/sensor_graph.py",
-        "(-1.0, 1.0), strict=True", "(1.0, -1.0), strict=True",
+        "np.add.at(gradient, self.parent, -slope)", "np.add.at(gradient, self.parent, slope)",
     ),
     Mutation(
         "start-not-in-key", "p2o_study", "wrong key", "toolkit/p2o_study/cells.py",
