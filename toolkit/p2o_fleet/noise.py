@@ -10,14 +10,14 @@ from p2o.arrays import Float
 from p2o.confidence.audit import AXES
 from p2o.frames.selection import spread
 
-from p2o_fleet.schema import Checks
+from p2o_fleet.checks import Checks
 from p2o_fleet.segments import Pair, segments_of
 from p2o_fleet.statistics import NoiseModel, Trend, local_deviations, noise_scale, trend
 from p2o_fleet.store import Store
 
 COVARIATES = ("degree Celsius", "sine of the time of day", "cosine of the time of day")
-_SAMPLED, _MAX_PARTS = 120, 4
-"""Number of checks of a vehicle, and of files, from which noise and trends are estimated."""
+_SAMPLED = 120
+"""Number of checks of an extrinsic from which noise and trends are estimated."""
 _MIN_VEHICLES = 5
 """Minimum number of vehicles for a trend: with fewer ones, a drift of one vehicle looks like a trend."""
 _DAY_S = 86400.0
@@ -64,11 +64,11 @@ class Samples:
         self.covariates += other.covariates
 
 
-def sampled(store: Store, vehicles: Sequence[str]) -> dict[Pair, Samples]:
+def sampled(store: Store, vehicles: Sequence[str], now: float) -> dict[Pair, Samples]:
     """Return some checks of each vehicle, by type and pair of sensors."""
     samples: dict[Pair, Samples] = {}
-    for checks in store.checks(vehicles, most_parts=_MAX_PARTS):
-        for segment in segments_of(checks):
+    for checks in store.checks(vehicles):
+        for segment in segments_of(checks, now):
             usable = np.flatnonzero(segment.checks.usable).tolist()
             own = segment.checks.take(np.array(spread(usable, _SAMPLED), np.int64))
             if len(own) > 1:

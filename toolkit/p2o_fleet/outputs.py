@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -72,6 +71,7 @@ def state_dict(state: FleetState) -> dict[str, Any]:
         "types": [_type_dict(one) for one in state.types],
         "services": [{**asdict(one), "time": iso(one.time)} for one in state.services],
         "extrinsics": [extrinsic_dict(one) for one in state.extrinsics],
+        "remarks": list(state.remarks),
     }
 
 
@@ -220,9 +220,7 @@ def summary_lines(state: FleetState, most: int = 20) -> Sequence[str]:
         )
     if len(state.alarms) > most:
         lines.append(f"  and {len(state.alarms) - most} further alarms")
+    lines += [f"  remark: {text}" for text in state.remarks[:most]]
+    if len(state.remarks) > most:
+        lines.append(f"  and {len(state.remarks) - most} further remarks")
     return lines
-
-
-def dumps(plain: Any) -> str:
-    """Return JSON in one line, for standard output."""
-    return json.dumps(plain, allow_nan=False, ensure_ascii=False)

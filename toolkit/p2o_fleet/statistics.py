@@ -22,7 +22,6 @@ TYPE_SHIFTS = (0.5, 1.0, 2.0, 5.0)
 """Alternatives of the error of a type beyond the tolerance, in tolerances."""
 _SINCE_FIRST = 0.25
 """Prior probability of an error that exists since the first check; the rest is for an onset at a later one."""
-_Z_95 = 1.959964
 _NEIGHBOURS = 3
 _BLOCK = 32
 """Rows of a block of a cumulative sum: with clipped bets, its exponentials stay within the range of numbers."""
@@ -219,11 +218,6 @@ class MeanError:
         """Return the standard deviations (6,)."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
-    def interval(self, axis: int) -> tuple[float, float]:
-        """Return the 95 % interval of an axis."""
-        half = _Z_95 * float(self.sigma[axis])
-        return float(self.error[axis]) - half, float(self.error[axis]) + half
-
 
 def mean_error(error: Float, covariance: Float) -> MeanError:
     """Return the mean of errors (T, 6) weighted by the inverse of their covariances (T, 6, 6).
@@ -283,18 +277,11 @@ def local_deviations(error: Float, covariance: Float) -> Float:
 
 @dataclass(frozen=True, eq=False)
 class Systematic:
-    """The mean error (6,) of the vehicles of one type, its deviations (6,), the spread (6,) between vehicles, log e."""
+    """The mean error (6,) of the vehicles of one type, its deviations (6,), and the log e-value (6,) of an error."""
 
     error: Float
     sigma: Float
-    spread: Float
     log_e: Float
-    vehicles: int
-
-    def interval(self, axis: int) -> tuple[float, float]:
-        """Return the 95 % interval of an axis."""
-        half = _Z_95 * float(self.sigma[axis])
-        return float(self.error[axis]) - half, float(self.error[axis]) + half
 
 
 def systematic(means: Float, sigmas: Float, tolerance: Float) -> Systematic:
@@ -316,7 +303,7 @@ def systematic(means: Float, sigmas: Float, tolerance: Float) -> Systematic:
             shift = factor * tolerance
             ratios.append((shift * (sign * clipped - tolerance) - shift**2 / 2) / wide**2)
     log_e = log_mean(np.sum(ratios, axis=1), axes=(0,))
-    return Systematic(error, 1 / np.sqrt(weight.sum(axis=0)), spread, log_e, len(means))
+    return Systematic(error, 1 / np.sqrt(weight.sum(axis=0)), log_e)
 
 
 def _between(means: Float, sigmas: Float, least: Float) -> Float:

@@ -17,7 +17,7 @@ from p2o.errors import MethodUnavailable, printable
 from p2o_study.cli.ablate import jobs_option
 
 if TYPE_CHECKING:
-    from p2o_fleet.evidence import CheckEvidence
+    from p2o_fleet.evidence import Evidence
     from p2o_fleet.run import RunOutcome
 
 
@@ -36,6 +36,10 @@ def command() -> None:
 _store = click.option(
     "--store", default="p2o-out/fleet", show_default=True, metavar="DIR", help="Folder of the stored evidence."
 )
+
+
+_COUNT, _SEED = click.IntRange(1, 1_000_000), click.IntRange(0)
+_RATE, _SHARE, _DEG = click.FloatRange(0.01, 1e6), click.FloatRange(0, 1), click.FloatRange(-90, 90)
 
 
 @command.command("run")
@@ -103,9 +107,12 @@ def run(
         on_check=(lambda outcome, evidence: None) if quiet or as_json else _Lines(),
     )
     unreadable = done.verdicts[Verdict.UNREADABLE.value]
+    for text in done.damaged:
+        click.echo(printable(f"p2o: skipped: {text}"), err=True)
     if as_json:
         counts = {verdict.value: done.verdicts[verdict.value] for verdict in Verdict}
-        print_json({"checked": done.checked, "kept": done.kept, "seconds": done.seconds, **counts})
+        damaged = {"damaged": list(done.damaged)} if done.damaged else {}
+        print_json({"checked": done.checked, "kept": done.kept, "seconds": done.seconds, **counts, **damaged})
     else:
         parts = ", ".join(f"{count} {verdict}" for verdict, count in sorted(done.verdicts.items()))
         click.echo(f"{done.checked} drives checked{f' ({parts})' if parts else ''}, {done.kept} stored before; {store}")
@@ -121,11 +128,11 @@ class _Lines:
     def __init__(self) -> None:
         self.last = time.monotonic()
 
-    def __call__(self, outcome: RunOutcome, evidence: CheckEvidence) -> None:
+    def __call__(self, outcome: RunOutcome, evidence: Evidence) -> None:
         from p2o_fleet.evidence import Verdict
 
         if evidence.verdict is Verdict.UNREADABLE:
-            print(f"p2o: {printable(evidence.drive.data, 200)}: {printable(evidence.reason)}", file=sys.stderr)
+            print(f"p2o: {printable(evidence.data, 200)}: {printable(evidence.reason)}", file=sys.stderr)
         if time.monotonic() - self.last > LINE_INTERVAL_S:
             self.last = time.monotonic()
             print(f"p2o: {outcome.checked} drives checked, {outcome.kept} stored before", file=sys.stderr)
@@ -220,15 +227,17 @@ def compact(store: str) -> int:
 
 @command.command("simulate")
 @click.argument("out")
-@click.option("--vehicles", default=1000, show_default=True, metavar="N", help="Number of vehicles.")
-@click.option("--checks", default=100, show_default=True, metavar="N", help="Number of checks of each vehicle.")
-@click.option("--per-day", default=10.0, show_default=True, metavar="N", help="Number of checks per day.")
-@click.option("--faults", default=0.1, show_default=True, metavar="SHARE", help="Share of vehicles with a fault.")
+@click.option("--vehicles", type=_COUNT, default=1000, show_default=True, metavar="N", help="Number of vehicles.")
+@click.option("--checks", type=_COUNT, default=100, show_default=True, metavar="N", help="Checks of each vehicle.")
+@click.option("--per-day", type=_RATE, default=10.0, show_default=True, metavar="N", help="Number of checks per day.")
+@click.option(
+    "--faults", type=_SHARE, default=0.1, show_default=True, metavar="SHARE", help="Share of vehicles with a fault."
+)
 @click.option("--rigs", default="sim-hdl-64e,kitti", show_default=True, metavar="NAME,...", help="Rigs of the noise.")
 @click.option(
-    "--wrong-cad", default=0.0, show_default=True, metavar="DEG", help="Yaw error of all vehicles of one type."
+    "--wrong-cad", type=_DEG, default=0.0, show_default=True, metavar="DEG", help="Yaw error of all of one type."
 )
-@click.option("--seed", default=0, show_default=True, metavar="N", help="Seed of all random numbers.")
+@click.option("--seed", type=_SEED, default=0, show_default=True, metavar="N", help="Seed of all random numbers.")
 def simulate(
     out: str, vehicles: int, checks: int, per_day: float, faults: float, rigs: str, wrong_cad: float, seed: int
 ) -> int:
