@@ -32,6 +32,7 @@ from fleet_detection import detect
 from fleet_drives import consecutive, real, seconds_of_checks
 from fleet_kills import kills, kills_of_cluster
 from p2o.arrays import Float
+from p2o_fleet.evidence import UPPER
 from p2o_fleet.fleet_state import fleet_state
 from p2o_fleet.simulation import Fault, NoiseBank, Scenario, simulated_fleet, write_fleet
 from p2o_fleet.store import Store
@@ -158,8 +159,12 @@ def _clusters(seconds: Float, megabytes: Sequence[float], link_gbit: float, chec
 def write_bank(source: Path, out: Path, rigs: Sequence[str]) -> list[str]:
     """Write the usable evidence of the vehicles without a slip in the store of `real` as the noise of a simulation."""
     own = Store.existing(source)
-    bank = NoiseBank.of_store(own, [name for name in own.vehicles() if not name.startswith("slip-")])
-    rows = [row for row in bank.rows() if row["rig"] in rigs]
+    rows = []
+    for checks in own.checks([name for name in own.vehicles() if not name.startswith("slip-")]):
+        for at in np.flatnonzero(checks.usable & np.isin(checks.texts["vehicle_type"].astype(str), list(rigs))):
+            values = {"error": checks.error[at], "covariance": checks.covariance[at][UPPER]}
+            plain = {name: [float(f"{value:.6g}") for value in numbers] for name, numbers in values.items()}
+            rows.append({"rig": checks.texts["vehicle_type"][at], "frames": int(checks.frame_count[at]), **plain})
     about = "Evidence of python benchmarks/fleet.py real at published or exact extrinsics; docs/how-to/fleet.md"
     text = ",\n".join(json.dumps(row) for row in rows)
     out.write_text(f'{{"about": {json.dumps(about)},\n"checks": [\n{text}\n]}}\n')

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 from p2o.errors import InputError
 from p2o_fleet.drive import Drive, drives_of, parse_time
@@ -98,8 +99,9 @@ def test_a_table_of_long_equal_texts_is_refused_before_it_is_unpacked(tmp_path: 
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    row = {"vehicle": "a", "camera": "front", "lidar": "top", "data": "x" * 1_000_000, "extrinsic": "e", "time": 0.0}
-    table = pa.table({name: pa.array([value] * 20_000).dictionary_encode() for name, value in row.items()})
+    row = {"vehicle": "a", "camera": "front", "lidar": "top", "data": "x" * 1_000_000, "extrinsic": "e", "time": "0"}
+    rows = pa.array(np.zeros(20_000, np.int32))
+    table = pa.table({name: pa.DictionaryArray.from_arrays(rows, pa.array([text])) for name, text in row.items()})
     pq.write_table(table, tmp_path / "drives.parquet")
     assert (tmp_path / "drives.parquet").stat().st_size < 1_000_000
     with pytest.raises(InputError, match="data is not valid"):

@@ -126,7 +126,6 @@ def test_without_arrow_the_command_names_the_extra(
         ["run", "drives.txt"],
         ["report", "--store", "nothing"],
         ["report", "--rate", "2"],
-        ["compact", "--store", "nothing"],
         ["simulate", "out", "--rigs", "moon"],
         ["simulate", "out", "--seed", "-1"],
         ["simulate", "out", "--vehicles", "0"],

@@ -12,7 +12,7 @@ import pytest
 from p2o.errors import InputError
 from p2o_fleet.checks import Checks
 from p2o_fleet.evidence import COLUMNS, Verdict
-from p2o_fleet.store import MAX_DAYS, Store
+from p2o_fleet.store import Store
 
 from tests.p2o_fleet.fleet_data import BEGIN, POSE, SIGMA, drive, evidence, filled
 
@@ -37,15 +37,15 @@ def test_evidence_is_read_as_it_was_stored(tmp_path: Path) -> None:
     assert {name: values[0] for name, values in checks.texts.items()}["verdict"] == "holds"
 
 
-def test_files_lie_by_vehicle_and_day_and_have_the_documented_columns(tmp_path: Path) -> None:
+def test_files_lie_by_vehicle_and_month_and_have_the_documented_columns(tmp_path: Path) -> None:
     import pyarrow.parquet
 
     store = Store(tmp_path)
-    filled(store, "van/7 ü", np.zeros((12, 6)))
+    filled(store, "van/7 ü", np.zeros((312, 6)))
     paths = store.parts("van/7 ü")
     assert [path.parent.relative_to(tmp_path).as_posix() for path in paths] == [
-        "checks/vehicle=van%2F7%20%C3%BC/day=2026-01-01",
-        "checks/vehicle=van%2F7%20%C3%BC/day=2026-01-02",
+        "checks/vehicle=van%2F7%20%C3%BC/day=2026-01",
+        "checks/vehicle=van%2F7%20%C3%BC/day=2026-02",
     ]
     assert pyarrow.parquet.read_schema(paths[0]).names == list(COLUMNS)
     assert store.vehicles() == ["van/7 ü"]
@@ -56,11 +56,11 @@ def test_pyarrow_reads_the_store_as_one_partitioned_data_set(tmp_path: Path) -> 
     import pyarrow.dataset
 
     for vehicle in ("a", "b"):
-        filled(Store(tmp_path), vehicle, np.zeros((12, 6)))
+        filled(Store(tmp_path), vehicle, np.zeros((312, 6)))
     read = pyarrow.dataset.dataset(tmp_path / "checks", format="parquet", partitioning="hive")
-    first_day = pyarrow.dataset.field("day") == "2026-01-01"
-    assert read.count_rows() == 24
-    assert read.to_table(filter=first_day & (pyarrow.dataset.field("vehicle") == "b")).num_rows == 10
+    second = pyarrow.dataset.field("day") == "2026-02"
+    assert read.count_rows() == 624
+    assert read.to_table(filter=second & (pyarrow.dataset.field("vehicle") == "b")).num_rows == 2
 
 
 def test_the_same_check_again_changes_nothing(tmp_path: Path) -> None:
@@ -216,20 +216,19 @@ def test_files_and_their_folders_are_on_the_disk_before_the_journal_is_removed(
         assert_on_disk_before(operations, path, store, inode)
 
 
-def test_a_merged_file_is_on_the_disk_before_those_that_it_contains_are_removed(
+def test_a_file_is_on_the_disk_before_those_that_it_contains_are_removed(
     tmp_path: Path, operations: list[tuple[str, int]]
 ) -> None:
     store = Store(tmp_path)
-    filled(store, "a", np.zeros((30, 6)))
-    inodes = [path.stat().st_ino for path in store.parts("a")]
-    assert len(inodes) == 3
-    store.compact()
+    filled(store, "a", np.zeros((3, 6)))
+    [before] = store.parts("a")
+    inode = before.stat().st_ino
+    store.add([evidence(drive("a", 5)).row()])
     [path] = store.parts("a")
-    for inode in inodes:
-        assert_on_disk_before(operations, path, store, inode)
+    assert_on_disk_before(operations, path, store, inode)
 
 
-def test_a_folder_that_a_merge_of_another_process_removes_is_created_again(
+def test_a_folder_that_another_process_removes_is_created_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     store, mkdir, removed = Store(tmp_path), Path.mkdir, list[Path]()
@@ -246,29 +245,40 @@ def test_a_folder_that_a_merge_of_another_process_removes_is_created_again(
     assert len(only(store)) == 1
 
 
-def test_files_of_many_days_are_merged_by_month_and_year_and_every_check_is_kept(tmp_path: Path) -> None:
+def test_runs_of_many_days_leave_one_file_for_each_month_and_every_check(tmp_path: Path) -> None:
     store = Store(tmp_path)
-    errors = np.random.default_rng(0).normal(size=(580, 6))
-    for day in range(58):  # January and most of February, as daily runs write them
+    errors = np.random.default_rng(0).normal(size=(400, 6))
+    for day in range(40):
         with store.writer() as writer:
             for number in range(10 * day, 10 * day + 10):
                 writer.put(evidence(drive("a", number), errors[number]))
-        assert len(store.parts("a")) <= MAX_DAYS + 2
-    folders = {path.parent.name for path in store.parts("a")}
-    assert {name for name in folders if len(name) < len("day=2026-01-01")} == {"day=2026", "day=2026-02"}
+    assert [path.parent.name for path in store.parts("a")] == ["day=2026-01", "day=2026-02"]
     assert (only(store).error == errors).all()
     with store.writer() as writer:
-        assert writer.finished(drive("a", 7), drive("a", 7).key()), "a merged check is finished"
+        assert writer.finished(drive("a", 7), drive("a", 7).key()), "a check in the file of a month is finished"
         writer.put(evidence(drive("a", 5, data="folder:late")))
-    assert store.compact() == 2
-    assert sorted(path.parent.name for path in store.parts("a")) == ["day=2026", "day=2026-02"]
-    assert len(only(store)) == 581
-    assert store.compact() == 0
+    assert len(store.parts("a")) == 2
+    assert len(only(store)) == 401
 
 
-def test_a_merge_that_is_killed_counts_no_check_twice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_by_day_and_year_of_earlier_versions_are_read_and_those_of_days_are_replaced(tmp_path: Path) -> None:
     store = Store(tmp_path)
-    filled(store, "a", np.zeros((30, 6)))
+    filled(store, "a", np.zeros((330, 6)))
+    for month, before in (("day=2026-01", "day=2026"), ("day=2026-02", "day=2026-02-01")):
+        (store.folder("a") / month).rename(store.folder("a") / before)
+    with store.writer() as writer:
+        for number in (7, 315):
+            assert writer.finished(drive("a", number), drive("a", number).key())
+        writer.put(evidence(drive("a", 325, data="folder:late")))
+    assert [path.parent.name for path in store.parts("a")] == ["day=2026", "day=2026-02"]
+    assert len(only(store)) == 331
+
+
+def test_a_writer_that_is_killed_while_it_replaces_a_file_counts_no_check_twice(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = Store(tmp_path)
+    filled(store, "a", np.zeros((20, 6)))
 
     def killed(path: Path, missing_ok: bool = False) -> None:
         raise KeyboardInterrupt
@@ -276,21 +286,26 @@ def test_a_merge_that_is_killed_counts_no_check_twice(tmp_path: Path, monkeypatc
     with monkeypatch.context() as patch:
         patch.setattr(Path, "unlink", killed)
         with pytest.raises(KeyboardInterrupt):
-            store.compact()
+            filled(store, "a", np.zeros((30, 6)))
+    assert len(store.parts("a")) == 2
     assert len(only(store)) == 30
-    store.compact()
-    assert len(only(store)) == 30
+    filled(store, "a", np.zeros((31, 6)))
+    assert len(only(store)) == 31
     assert len(store.parts("a")) == 1
 
 
-def test_two_merges_at_the_same_time_lose_no_check(tmp_path: Path) -> None:
+def test_two_processes_that_replace_the_same_file_lose_no_check(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     store = Store(tmp_path)
-    filled(store, "a", np.zeros((30, 6)))
+    filled(store, "a", np.zeros((20, 6)))
     before = store.parts("a")
-    filled(store, "a", np.ones((40, 6)))
-    assert store._merge("a", store.parts("a"))
-    assert not store._merge("a", before), "the files that this merge listed are gone"
-    assert len(only(store)) == 40
+    filled(store, "a", np.zeros((30, 6)))
+    with monkeypatch.context() as patch:
+        patch.setattr(Store, "parts", lambda self, vehicle: before)
+        store.add([evidence(drive("a", 35)).row()])
+    assert len(store.parts("a")) == 2, "the file that was listed is gone"
+    assert len(only(store)) == 31
 
 
 def test_a_reader_that_lists_folders_while_files_are_merged_reads_every_check(
@@ -302,7 +317,7 @@ def test_a_reader_that_lists_folders_while_files_are_merged_reads_every_check(
 
     def parts(self: Store, vehicle: str, day: str | None = None) -> list[Path]:
         listings.append(vehicle)
-        # The first listing saw the folders of days before the merge, and their content after it.
+        # The first listing saw the folders before a file was replaced, and their content after it.
         return [] if len(listings) == 1 else real(self, vehicle, day)
 
     monkeypatch.setattr(Store, "parts", parts)
@@ -360,19 +375,21 @@ def test_a_file_with_values_that_no_check_has_is_skipped_and_named(
     tmp_path: Path, columns: dict[str, object], reason: str
 ) -> None:
     store = Store(tmp_path)
-    filled(store, "a", np.zeros((11, 6)))
-    bad, _ = sorted(store.parts("a"), reverse=True)
+    filled(store, "a", np.zeros((301, 6)))
+    store.add([evidence(drive("a", 311)).row()])
+    [_, bad] = store.parts("a")
     _rewritten(bad, **columns)
     checks = only(store)
-    assert len(checks) == 10
+    assert len(checks) == 301
     [text] = checks.damaged
     assert bad.name in text
     assert reason in text
     with store.writer() as writer:
-        assert not writer.finished(drive("a", 10), drive("a", 10).key()), "it is checked again"
+        assert not writer.finished(drive("a", 311), drive("a", 311).key()), "it is checked again"
         assert bad.name in writer.damaged[0]
-    assert store.compact() == 0, "a damaged file is no part of a merge"
-    assert bad.exists()
+    store.add([evidence(drive("a", 312)).row()])
+    assert bad.exists(), "a damaged file is not replaced"
+    assert len(only(store)) == 302
 
 
 def _special_file(path: Path, kind: str) -> None:

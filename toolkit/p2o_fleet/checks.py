@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -12,13 +12,11 @@ from p2o.confidence.audit import AXES
 from p2o.errors import InputError, printable
 
 from p2o_fleet.drive import TEMPERATURES
-from p2o_fleet.evidence import ERROR_COLUMNS, UPPER, Verdict, arrow_schema
+from p2o_fleet.evidence import ERROR_COLUMNS, UPPER, Evidence, Verdict, arrow_schema
 from p2o_fleet.parquet_file import MAX_TEXT, check_texts
 
-TEXTS = (
-    *("key", "camera", "lidar", "vehicle_type", "service", "data", "extrinsic", "verdict", "reason"),
-    *("log", "extrinsic_digest"),
-)
+TEXTS = tuple(one.name for one in fields(Evidence) if one.type in ("str", "Verdict") and one.name != "vehicle")
+"""Columns of texts, without that of the vehicle."""
 READ = ("vehicle", "time", *TEXTS, "temperature_c", *ERROR_COLUMNS, "covariance", "camera_from_lidar", "frame_count")
 """Columns that `Checks.of` needs."""
 _MAX_TIME = 253402300799.0

@@ -275,7 +275,7 @@ class _VehiclesJob:
     noise: Mapping[Pair, PairNoise] = field(default_factory=dict)
 
 
-def _sampled(job: _VehiclesJob) -> dict[Pair, Samples]:
+def _sampled(job: _VehiclesJob) -> Samples:
     return sampled(job.store, job.vehicles, job.now)
 
 

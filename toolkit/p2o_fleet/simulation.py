@@ -5,12 +5,11 @@ from __future__ import annotations
 import hashlib
 import importlib.resources
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
 from typing import Any
-from urllib.parse import quote
 
 import numpy as np
 from p2o.arrays import Float, Int
@@ -20,7 +19,7 @@ from p2o.errors import InputError
 from p2o_fleet.checks import Checks
 from p2o_fleet.drive import Drive, day_of
 from p2o_fleet.evidence import UPPER, Evidence, Verdict, estimate_columns, table_of
-from p2o_fleet.store import MAX_DAYS, Store
+from p2o_fleet.store import Store
 
 BANK = "noise.json"
 _DAY_S = 86400.0
@@ -32,6 +31,10 @@ _REASONS = {
     Verdict.CANNOT_TELL: "too few pairs of edges are within reach",
     Verdict.UNREADABLE: "the log cannot be read",
 }
+
+
+_OFFSET = np.repeat([0.05, 0.01], 3)
+"""Standard deviations, in deg and m, of the constant errors of vehicles, which are at most three of them."""
 
 
 class Fault(StrEnum):
@@ -90,11 +93,9 @@ class NoiseBank:
 class Scenario:
     """A simulated fleet: `checks` per vehicle, `per_day` of them a day, and the share of vehicles with each fault.
 
-    `rigs` are rigs of the bank whose noise is used; vehicle n has the rig n mod len(rigs), which is its type. Constant
-    errors of vehicles are normal with the standard deviations `offset_deg` and `offset_m`, and at most three of them.
-    Slips and drifts are `slip_deg` or `slip_m` on one axis. `wrong_cad_deg` is the error of all vehicles of the first
-    type about yaw.
-    `pitch_deg_per_c` is a drift with temperature.
+    `rigs` are rigs of the bank whose noise is used; vehicle n has the rig n mod len(rigs), which is its type. Slips and
+    drifts are `slip_deg` or `slip_m` on one axis. `wrong_cad_deg` is the error of all vehicles of the first type about
+    yaw.
     """
 
     vehicles: int = 1000
@@ -104,10 +105,7 @@ class Scenario:
     shares: Mapping[Fault, float] = field(default_factory=dict)
     slip_deg: float = 0.5
     slip_m: float = 0.05
-    offset_deg: float = 0.05
-    offset_m: float = 0.01
     wrong_cad_deg: float = 0.0
-    pitch_deg_per_c: float = 0.0
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -152,10 +150,9 @@ def _vehicle(scenario: Scenario, bank: NoiseBank, number: int) -> SimulatedVehic
     begin = int(rng.integers(count // 5, max(count // 5 + 1, count * 3 // 5)))
     rows = bank.groups[rig][rng.integers(len(bank.groups[rig]), size=count)]
     error, covariance = bank.centred[rows].copy(), bank.covariance[rows].copy()
-    error += np.clip(rng.normal(size=6), -3, 3) * np.repeat([scenario.offset_deg, scenario.offset_m], 3)
+    error += np.clip(rng.normal(size=6), -3, 3) * _OFFSET
     time = np.asarray(_BEGIN + np.arange(count) * _DAY_S / scenario.per_day, np.float64)
     temperature = 12 - 12 * np.cos(2 * np.pi * (time - _BEGIN) / (365 * _DAY_S)) + rng.normal(size=count) * 3
-    error[:, 1] += scenario.pitch_deg_per_c * (temperature - 12)
     if number % len(scenario.rigs) == 0:
         error[:, 2] += scenario.wrong_cad_deg
     verdict = np.full(count, Verdict.HOLDS, dtype=object)
@@ -214,23 +211,17 @@ def _inject(
 
 
 def write_fleet(vehicles: Iterator[SimulatedVehicle], store: Store) -> int:
-    """Write simulated vehicles to a store, with the files that daily runs leave; return the number of checks."""
+    """Write simulated vehicles to a store, a file for each month, as runs do; return the number of checks."""
     import pyarrow.parquet as pq
 
     total = 0
     for vehicle in vehicles:
-        days = np.array(_partitions([day_of(time) for time in vehicle.checks.time]))
-        starts = np.flatnonzero(np.concatenate([[True], days[1:] != days[:-1]]))
-        for begin, end in zip(starts, [*starts[1:], len(days)], strict=True):
-            folder = store.checks_folder / f"vehicle={quote(vehicle.name, safe='')}" / f"day={days[begin]}"
+        months = np.array([day_of(time)[:7] for time in vehicle.checks.time])
+        starts = np.flatnonzero(np.concatenate([[True], months[1:] != months[:-1]]))
+        for begin, end in zip(starts, [*starts[1:], len(months)], strict=True):
+            folder = store.folder(vehicle.name) / f"day={months[begin]}"
             folder.mkdir(parents=True, exist_ok=True)
             part = vehicle.table.slice(begin, end - begin)
             pq.write_table(part, folder / "part-simulated.parquet", compression="zstd")
-        total += len(days)
+        total += len(months)
     return total
-
-
-def _partitions(days: Sequence[str]) -> list[str]:
-    """Return the year of days before the last month, the month of days of this month, and the last days themselves."""
-    last, recent = days[-1][:7], set(sorted(set(days))[-MAX_DAYS:])
-    return [day if day in recent else last if day[:7] == last else day[:4] for day in days]

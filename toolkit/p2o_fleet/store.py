@@ -26,10 +26,8 @@ from p2o_fleet.drive import Drive, day_of
 from p2o_fleet.evidence import COLUMNS, Evidence, Verdict, arrow_schema, table_of
 from p2o_fleet.parquet_file import check_texts, open_parquet
 
-_FOLD_ROWS = 2000
+_FOLD_ROWS = 5000
 """Number of rows after which a journal becomes Parquet files: it bounds the memory of a run."""
-MAX_DAYS = 4
-"""Number of files of single days of a vehicle after which its files are merged, so that a query opens few files."""
 _ATTEMPTS = 10
 _MAX_PARTITIONS = 1024
 """Number of partitions whose keys are remembered."""
@@ -44,9 +42,8 @@ class Store:
     """A folder with `checks/vehicle=V/day=D/part-*.parquet` and `journal/*.jsonl`.
 
     Finished checks are appended to a journal, one line each, and become Parquet files at the end of a run. `day` is the
-    day of the drive (2026-11-24), or once files are merged its month (2026-11), or its year (2026) for months before
-    the last one of the vehicle. Any number of processes may write; a check that two of them store is read once. Files
-    are never changed; a merge writes a file before it removes those that it contains: others may work meanwhile. A file
+    month of the drives (2026-11); stores of p2o 0.2 also have days and years. Any number of processes may write; a
+    check that two of them store is read once. Files are never changed, but replaced by a file with more checks. A file
     is on the disk, not only in its cache, before the journal or the files that it replaces are removed. Files and lines
     that no writer of p2o leaves are skipped and named (`Checks.damaged`); they stay where they are.
     """
@@ -95,7 +92,7 @@ class Store:
             listed, skipped, parts = paths, list[str](), list[Checks]()
             with contextlib.suppress(FileNotFoundError):
                 parts = [part for path in paths if (part := _read(path, vehicle, skipped)) is not None]
-                # A merge between two listings of folders could hide both the merged file and those that it replaced.
+                # A change between two listings of folders could hide both a new file and those that it replaced.
                 if (paths := self.parts(vehicle)) == listed:
                     damaged.extend(skipped)
                     return parts
@@ -105,10 +102,11 @@ class Store:
     def parts(self, vehicle: str, day: str | None = None) -> list[Path]:
         """Return the Parquet files of a vehicle, with `day` those that may contain checks of this day."""
         wanted = None if day is None else {f"day={day}", f"day={day[:7]}", f"day={day[:4]}"}
-        days = [entry.path for entry in _folders(self._folder(vehicle)) if wanted is None or entry.name in wanted]
+        days = [entry.path for entry in _folders(self.folder(vehicle)) if wanted is None or entry.name in wanted]
         return sorted(Path(entry.path) for one in days for entry in _entries(one) if entry.name.endswith(".parquet"))
 
-    def _folder(self, vehicle: str) -> Path:
+    def folder(self, vehicle: str) -> Path:
+        """Return the folder of a vehicle."""
         return self.checks_folder / f"vehicle={quote(vehicle, safe='')}"
 
     def writer(self) -> Writer:
@@ -132,18 +130,30 @@ class Store:
         return writer
 
     def add(self, rows: Iterable[Row]) -> None:
-        """Write rows as Parquet files; the same rows again replace the same files."""
+        """Write rows to the file of their vehicle and month; the same rows again change nothing.
+
+        Any number of processes may do it at the same time, and one that is killed does no harm: a file is written
+        before those that it contains are removed.
+        """
+        import pyarrow as pa
+
         groups: dict[tuple[str, str], list[Row]] = {}
         for row in rows:
-            groups.setdefault((row["vehicle"], day_of(row["time"])), []).append(row)
-        for (vehicle, day), group in groups.items():
-            self._write(vehicle, day, table_of(group))
-        for vehicle in dict.fromkeys(vehicle for vehicle, _ in groups):
-            paths = self.parts(vehicle)
-            if sum(len(_days(path)) > len("2026-11") for path in paths) > MAX_DAYS:
-                # The rows are stored: a full disk only prevents that they are read faster.
-                with contextlib.suppress(InputError):
-                    self._merge(vehicle, paths)
+            groups.setdefault((row["vehicle"], day_of(row["time"])[:7]), []).append(row)
+        for (vehicle, month), group in groups.items():
+            before = {}
+            for path in self.parts(vehicle):
+                with contextlib.suppress(FileNotFoundError):  # another process was faster
+                    if _days(path).startswith(month) and (table := _whole_table(path, vehicle)) is not None:
+                        before[path] = table
+            if len(group) + sum(map(len, before.values())) > _MAX_ROWS:
+                before = {}
+            written = self._write(vehicle, month, _rows_once(pa.concat_tables([table_of(group), *before.values()])))
+            for path in before:
+                if path != written:
+                    path.unlink(missing_ok=True)
+                    with contextlib.suppress(OSError):  # not empty: another process has written to it
+                        path.parent.rmdir()
 
     def _write(self, vehicle: str, day: str, table: Any) -> Path:
         """Write a file and the names of its folders to the disk; the name depends on its checks."""
@@ -151,7 +161,7 @@ class Store:
 
         keys = sorted(map("".join, zip(*(table[name].to_pylist() for name in ("key", "verdict")), strict=True)))
         digest = hashlib.sha256("\n".join(keys).encode()).hexdigest()[:24]
-        path = self._folder(vehicle) / f"day={day}" / f"part-{digest}.parquet"
+        path = self.folder(vehicle) / f"day={day}" / f"part-{digest}.parquet"
         content = BytesIO()
         pq.write_table(table, content, compression="zstd", use_dictionary=True)
         with write_errors("evidence", path.parent):
@@ -161,42 +171,11 @@ class Store:
                     write_whole(path, content.getvalue(), sync=True)
                     break
                 except InputError:
-                    if path.parent.exists() or attempt == _ATTEMPTS - 1:  # else a merge removed the empty folder
+                    if path.parent.exists() or attempt == _ATTEMPTS - 1:  # else another process removed the folder
                         raise
             for folder in (path.parent, path.parent.parent, self.checks_folder):
                 sync_folder(folder)
         return path
-
-    def compact(self) -> int:
-        """Merge the files of each vehicle; return the number of files that were written.
-
-        Writers do it for vehicles with many files. Readers and writers may work at the same time; a second compaction
-        or one that was killed does no harm.
-        """
-        return sum(self._merge(vehicle, self.parts(vehicle)) for vehicle in self.vehicles())
-
-    def _merge(self, vehicle: str, paths: Sequence[Path]) -> int:
-        """Merge the last month of a vehicle, and the months before by year; return the number of files written."""
-        import pyarrow as pa
-
-        last, merged = max((_days(path)[:7] for path in paths), default=""), 0
-        groups: dict[str, list[Path]] = {}
-        for path in paths:
-            days = _days(path)
-            groups.setdefault(last if days[:7] == last else days[:4], []).append(path)
-        for days, own in groups.items():
-            with contextlib.suppress(FileNotFoundError):  # another merge was faster
-                tables = {path: table for path in own if (table := _whole_table(path, vehicle)) is not None}
-                if len(tables) < 2 or sum(map(len, tables.values())) > _MAX_ROWS:
-                    continue
-                written = self._write(vehicle, days, _rows_once(pa.concat_tables(tables.values())))
-                for path in tables:
-                    if path != written:
-                        path.unlink(missing_ok=True)
-                        with contextlib.suppress(OSError):  # not empty: a late log was added
-                            path.parent.rmdir()
-                merged += 1
-        return merged
 
     def _journalled(self, damaged: list[str]) -> Iterator[Row]:
         for path in _journals(self.journals):
@@ -305,7 +284,7 @@ class Writer:
 
 
 def _days(path: Path) -> str:
-    """Return the day, month or year whose checks a file contains."""
+    """Return the month, day or year whose checks a file contains."""
     return path.parent.name.removeprefix("day=")
 
 
@@ -325,7 +304,7 @@ def _append(file: IO[bytes], line: bytes) -> None:
 def _read(path: Path, vehicle: str, damaged: list[str]) -> Checks | None:
     """Return the checks of a file; None, with the reason in `damaged`, if it is not a valid file of this vehicle.
 
-    Raises FileNotFoundError if a merge has replaced it.
+    Raises FileNotFoundError if another file has replaced it.
     """
     try:
         with open_parquet(path, "evidence", _MAX_ROWS) as file:

@@ -211,20 +211,6 @@ def report(
     return 1 if state.alarms or any(one.alarms for one in state.types) or (require and unknown) else 0
 
 
-@command.command("compact")
-@_store
-def compact(store: str) -> int:
-    """Merge the files of each vehicle and month, as runs do for vehicles with files of more than eight days.
-
-    Other processes may read and write the store at the same time.
-    """
-    from p2o_fleet.store import Store
-
-    merged = Store.existing(store).compact()
-    click.echo(f"{merged} months of vehicles merged")
-    return 0
-
-
 @command.command("simulate")
 @click.argument("out")
 @click.option("--vehicles", type=_COUNT, default=1000, show_default=True, metavar="N", help="Number of vehicles.")
