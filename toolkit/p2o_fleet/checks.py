@@ -22,6 +22,7 @@ READ = ("vehicle", "time", *TEXTS, "temperature_c", *ERROR_COLUMNS, "covariance"
 _MAX_TIME = 253402300799.0
 """The last second of the year 9999."""
 _MAX_M, _MAX_FRAMES = 1e9, 1_000_000
+_MIN_SIGMA, _MAX_SIGMA = 1e-6, 1e6
 _MOST = np.repeat([180.0, _MAX_M], 3)
 """Largest errors in deg and m."""
 _BOTTOM = np.array([[0.0, 0.0, 0.0, 1.0]])
@@ -113,7 +114,7 @@ _ARRAYS = ("time", "temperature_c", "error", "covariance", "pose", "frame_count"
 def valid_estimate(error: Float, covariance: Float) -> bool:
     """Return whether errors (N, 6) in deg and m and their covariances (N, 6, 6) are finite and in range."""
     variances = np.einsum("nii->ni", covariance)
-    if not (np.abs(error) <= _MOST).all() or not np.isfinite(covariance).all() or not (variances > 0).all():
+    if not (np.abs(error) <= _MOST).all() or not ((variances >= _MIN_SIGMA**2) & (variances <= _MAX_SIGMA**2)).all():
         return False
     sigma = np.sqrt(variances)
     try:

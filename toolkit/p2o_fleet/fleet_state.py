@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from itertools import pairwise
 from typing import Any
@@ -21,7 +21,7 @@ from p2o_study.parallel import Workers
 from p2o_fleet.checks import Checks
 from p2o_fleet.evidence import Verdict
 from p2o_fleet.noise import PairNoise, Samples, estimate_noise, sampled
-from p2o_fleet.segments import Pair, Segment, segments_of
+from p2o_fleet.segments import Extrinsic, Pair, Segment, segments_of
 from p2o_fleet.statistics import (
     MeanError,
     NoiseModel,
@@ -142,18 +142,10 @@ class History:
     log_e: Float
 
 
-@dataclass(frozen=True, eq=False)
-class ExtrinsicState:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ExtrinsicState(Extrinsic):
     """The state of one extrinsic of one vehicle, between two services, over all its checks."""
 
-    vehicle: str
-    vehicle_type: str
-    camera: str
-    lidar: str
-    extrinsic: str
-    digest: str
-    service: str
-    current: bool
     first: float
     last: float
     checks: int
@@ -166,11 +158,6 @@ class ExtrinsicState:
     mean: MeanError | None
     alarm: Alarm | None
     history: History
-
-    @property
-    def pair(self) -> Pair:
-        """Return vehicle type, camera and LiDAR."""
-        return self.vehicle_type, self.camera, self.lidar
 
     @property
     def total_log_e(self) -> float:
@@ -312,14 +299,7 @@ def _state(segment: Segment, noise: PairNoise | None, rules: FleetRules, now: fl
     logs[known > 0] = e_process(error, own.covariance, noise.model, known[known > 0] - 1)
     texts = checks.texts
     state = ExtrinsicState(
-        vehicle=checks.vehicle,
-        vehicle_type=segment.vehicle_type,
-        camera=segment.camera,
-        lidar=segment.lidar,
-        extrinsic=str(texts["extrinsic"][-1]),
-        digest=segment.digest,
-        service=segment.service,
-        current=segment.current,
+        **{one.name: getattr(segment, one.name) for one in fields(Extrinsic)},
         first=float(checks.time[0]),
         last=float(checks.time[max(0, int((checks.time <= now).sum()) - 1)]),
         checks=len(checks),
@@ -366,15 +346,12 @@ def _with_alarms(candidates: Sequence[ExtrinsicState], rules: FleetRules) -> lis
         if alarmed and state.alarm is not None:
             states.append(replace(state, reason=describe(state.alarm, state.status), mean=state.alarm.present))
             continue
+        unclear = [] if state.mean is None else np.flatnonzero(1.96 * state.mean.sigma > notice).tolist()
         status, reason = FleetStatus.HOLDS, f"no error beyond {rules.tolerance} in {state.usable} checks"
-        if state.reason:
-            status, reason = FleetStatus.CANNOT_TELL, state.reason
-        elif state.mean is not None and (unclear := 1.96 * state.mean.sigma > notice).any():
-            names = ", ".join(AXES[n][0] for n in np.flatnonzero(unclear))
-            status, reason = (
-                FleetStatus.CANNOT_TELL,
-                f"an error of {rules.notice} may stay undetected on {names}",
-            )
+        if state.reason or unclear:
+            names = ", ".join(AXES[axis][0] for axis in unclear)
+            status = FleetStatus.CANNOT_TELL
+            reason = state.reason or f"an error of {rules.notice} may stay undetected on {names}"
         states.append(replace(state, status=status, reason=reason, alarm=None))
     return states
 

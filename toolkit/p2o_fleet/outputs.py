@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from p2o.files.parsed_text import parse_json
 from p2o.files.whole_file import json_text, make_writable, write_errors, write_whole
 
 from p2o_fleet.fleet_state import ExtrinsicState, FleetState, FleetStatus, TypeState, amount
+from p2o_fleet.segments import Extrinsic
 
 STATE, METRICS, WEBHOOK, PROPOSALS = "fleet.json", "fleet.prom", "webhook.json", "proposals"
 _STRENGTH = 300.0
@@ -81,9 +82,8 @@ def status_counts(state: FleetState) -> dict[str, int]:
     return {status.value: counts[status] for status in FleetStatus}
 
 
-def _identity(state: ExtrinsicState) -> dict[str, str]:
-    names = ("vehicle", "vehicle_type", "camera", "lidar", "extrinsic", "digest", "service")
-    return {name: getattr(state, name) for name in names}
+def _identity(state: ExtrinsicState) -> dict[str, Any]:
+    return {one.name: getattr(state, one.name) for one in fields(Extrinsic) if one.name != "current"}
 
 
 def extrinsic_dict(state: ExtrinsicState) -> dict[str, Any]:

@@ -17,22 +17,33 @@ _MIN_CHECKS = 2
 """Number of consecutive checks with which a new extrinsic or service begins: a single row may be an error of input."""
 
 
-@dataclass(frozen=True, eq=False)
-class Segment:
-    """The checks of one extrinsic between two services; `current` if it is the last one of its sensors."""
+@dataclass(frozen=True, kw_only=True)
+class Extrinsic:
+    """One extrinsic of one vehicle between two services: its text in the table of drives, and `digest` of its values.
 
-    checks: Checks
+    `current` is whether it is in use: the last one of its sensors.
+    """
+
+    vehicle: str
+    vehicle_type: str
     camera: str
     lidar: str
-    vehicle_type: str
-    service: str
+    extrinsic: str
     digest: str
+    service: str
     current: bool
 
     @property
     def pair(self) -> Pair:
         """Return vehicle type, camera and LiDAR."""
         return self.vehicle_type, self.camera, self.lidar
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Segment(Extrinsic):
+    """The checks of one extrinsic between two services."""
+
+    checks: Checks
 
 
 def segments_of(checks: Checks, now: float = math.inf) -> Iterator[Segment]:
@@ -55,9 +66,9 @@ def segments_of(checks: Checks, now: float = math.inf) -> Iterator[Segment]:
         for begin, end in zip(starts, [*starts[1:], len(kept)], strict=True):
             own = checks.take(rows[kept[begin:end]])
             types, counts = np.unique(own.texts["vehicle_type"].astype(str), return_counts=True)
-            camera, lidar, service = (str(own.texts[name][-1]) for name in ("camera", "lidar", "service"))
-            digest, current = str(digests[kept[begin]]), bool(end == len(kept))
-            yield Segment(own, camera, lidar, str(types[counts.argmax()]), service, digest, current)
+            last = {name: str(own.texts[name][-1]) for name in ("camera", "lidar", "extrinsic", "service")}
+            last |= {"digest": str(digests[kept[begin]]), "vehicle_type": str(types[counts.argmax()])}
+            yield Segment(vehicle=checks.vehicle, **last, current=bool(end == len(kept)), checks=own)
 
 
 def _changes(names: Any) -> Any:
