@@ -76,19 +76,6 @@ def test_the_process_after_some_checks_is_that_of_all_checks() -> None:
     assert e_process(error, covariance, EXACT, at) == pytest.approx(e_process(error, covariance, EXACT)[at])
 
 
-def test_the_mixture_over_onsets_is_its_definition_over_many_blocks_of_checks() -> None:
-    ratios = np.random.default_rng(4).normal(-0.5, 2.0, size=(100, 2))
-    prior = onset_prior(100)
-    direct = [
-        np.logaddexp(
-            np.logaddexp.reduce([np.log(prior[k]) + ratios[k : t + 1].sum(axis=0) for k in range(t + 1)]),
-            np.log(1 - prior[: t + 1].sum()),
-        )
-        for t in range(100)
-    ]
-    assert mixture_over_onsets(ratios) == pytest.approx(np.array(direct))
-
-
 def test_differences_from_the_previous_mean_are_standard_normal_about_any_constant() -> None:
     rng = np.random.default_rng(1)
     sigma = rng.uniform(0.5, 2.0, size=(40, 2000))

@@ -88,42 +88,27 @@ def _identity(state: ExtrinsicState) -> dict[str, Any]:
 
 def extrinsic_dict(state: ExtrinsicState) -> dict[str, Any]:
     """Return an extrinsic without its history."""
-    mean = state.mean
+    names = ("current", "status", "reason", "checks", "usable", "unreadable", "frames")
+    error, sigma = (None, None) if state.mean is None else (state.mean.error, state.mean.sigma)
     return {
         **_identity(state),
-        "current": state.current,
-        "status": state.status.value,
-        "reason": state.reason,
+        **{name: getattr(state, name) for name in names},
         "first": iso(state.first),
         "last": iso(state.last),
-        "checks": state.checks,
-        "usable": state.usable,
-        "unreadable": state.unreadable,
-        "frames": state.frames,
         "log_e": round(min(state.total_log_e, _STRENGTH), 3),
-        "error": None if mean is None else [round(float(value), 6) for value in mean.error],
-        "sigma": None if mean is None else [round(float(value), 6) for value in mean.sigma],
+        "error": None if error is None else error.round(6).tolist(),
+        "sigma": None if sigma is None else sigma.round(6).tolist(),
     }
 
 
 def _alarm_dict(state: ExtrinsicState) -> dict[str, Any]:
-    alarm = state.alarm
-    assert alarm is not None
-    return {
-        **_identity(state),
-        "status": state.status.value,
-        "text": state.reason,
-        "axes": [asdict(axis) for axis in alarm.axes],
-        "alternatives": [[asdict(axis) for axis in each] for each in alarm.alternatives],
-        "since": iso(alarm.since),
-        "since_interval": [iso(alarm.since_first), iso(alarm.since_last)],
-        "log_e": round(min(alarm.log_e, _STRENGTH), 3),
-        "checks": alarm.checks,
-        "frames": alarm.frames,
-        "systematic": alarm.systematic,
-        "proposal": alarm.proposal.tolist(),
-        "proof": list(alarm.proof),
-    }
+    assert state.alarm is not None
+    plain = asdict(state.alarm)
+    del plain["present"]
+    plain["since_interval"] = [iso(plain.pop("since_first")), iso(plain.pop("since_last"))]
+    plain |= {"since": iso(state.alarm.since), "log_e": round(min(state.alarm.log_e, _STRENGTH), 3)}
+    plain["proposal"] = state.alarm.proposal.tolist()
+    return {**_identity(state), "status": state.status, "text": state.reason, **plain}
 
 
 def _type_dict(state: TypeState) -> dict[str, Any]:

@@ -23,8 +23,8 @@ from p2o.files.whole_file import sync_folder, write_errors, write_whole
 
 from p2o_fleet.checks import READ, Checks
 from p2o_fleet.drive import Drive, day_of
-from p2o_fleet.evidence import COLUMNS, Evidence, Verdict, arrow_schema, table_of
-from p2o_fleet.parquet_file import check_texts, open_parquet
+from p2o_fleet.evidence import COLUMNS, Evidence, Verdict, table_of, with_schema
+from p2o_fleet.parquet_file import open_parquet
 
 _FOLD_ROWS = 5000
 """Number of rows after which a journal becomes Parquet files: it bounds the memory of a run."""
@@ -91,7 +91,7 @@ class Store:
         for _ in range(_ATTEMPTS):
             listed, skipped, parts = paths, list[str](), list[Checks]()
             with contextlib.suppress(FileNotFoundError):
-                parts = [part for path in paths if (part := _read(path, vehicle, skipped)) is not None]
+                parts = [part[1] for path in paths if (part := _read(path, vehicle, skipped)) is not None]
                 # A change between two listings of folders could hide both a new file and those that it replaced.
                 if (paths := self.parts(vehicle)) == listed:
                     damaged.extend(skipped)
@@ -144,8 +144,8 @@ class Store:
             before = {}
             for path in self.parts(vehicle):
                 with contextlib.suppress(FileNotFoundError):  # another process was faster
-                    if _days(path).startswith(month) and (table := _whole_table(path, vehicle)) is not None:
-                        before[path] = table
+                    if _days(path).startswith(month) and (part := _read(path, vehicle, [], COLUMNS)) is not None:
+                        before[path] = with_schema(part[0])
             if len(group) + sum(map(len, before.values())) > _MAX_ROWS:
                 before = {}
             written = self._write(vehicle, month, _rows_once(pa.concat_tables([table_of(group), *before.values()])))
@@ -230,7 +230,7 @@ class Writer:
             with contextlib.suppress(FileNotFoundError):
                 if (part := _read(path, vehicle, self.damaged)) is not None:
                     names = ("key", "verdict", "reason")
-                    for key, *outcome in zip(*(part.texts[name].tolist() for name in names), strict=True):
+                    for key, *outcome in zip(*(part[1].texts[name].tolist() for name in names), strict=True):
                         if outcomes.get(key, (Verdict.UNREADABLE.value,))[0] == Verdict.UNREADABLE.value:
                             outcomes[key] = (outcome[0], outcome[1])
         return outcomes
@@ -301,36 +301,20 @@ def _append(file: IO[bytes], line: bytes) -> None:
         raise
 
 
-def _read(path: Path, vehicle: str, damaged: list[str]) -> Checks | None:
-    """Return the checks of a file; None, with the reason in `damaged`, if it is not a valid file of this vehicle.
+def _read(path: Path, vehicle: str, damaged: list[str], names: Sequence[str] = READ) -> tuple[Any, Checks] | None:
+    """Return table and checks of a file; None, with the reason in `damaged`, if it is not a valid one of this vehicle.
 
     Raises FileNotFoundError if another file has replaced it.
     """
     try:
         with open_parquet(path, "evidence", _MAX_ROWS) as file:
-            names = [name for name in READ if name in file.schema_arrow.names]
-            return Checks.of(file.read(names, use_threads=False), vehicle)
+            table = file.read([name for name in names if name in file.schema_arrow.names], use_threads=False)
+            return table, Checks.of(table, vehicle)
     except InputError as problem:
         if isinstance(problem.__cause__, FileNotFoundError):
             raise problem.__cause__ from problem
         damaged.append(str(problem))
         return None
-
-
-def _whole_table(path: Path, vehicle: str) -> Any:
-    """Return the Arrow table with all columns of a file; None if it is damaged. Raises as `_read`."""
-    import pyarrow as pa
-
-    if _read(path, vehicle, []) is None:
-        return None
-    with contextlib.suppress(InputError), open_parquet(path, "evidence", _MAX_ROWS) as file:
-        table, schema = file.read(use_threads=False), arrow_schema()
-        missing = (name for name in COLUMNS if name not in table.column_names)
-        for name in missing:
-            table = table.append_column(name, pa.nulls(len(table), schema.field(name).type))
-        check_texts(table)
-        return table.select(COLUMNS).cast(schema)
-    return None
 
 
 def _rows_once(table: Any) -> Any:

@@ -214,7 +214,9 @@ class _Problem:
         parent = np.array([row.get(edge.parent, len(sensors)) for edge in edges])
         child = np.array([row.get(edge.child, len(sensors)) for edge in edges])
         measured = np.stack([edge.parent_from_child for edge in edges])
-        whiten: Float = np.linalg.inv(np.linalg.cholesky(np.stack([edge.covariance for edge in edges])))
+        whiten = np.asarray(
+            np.linalg.inv(np.linalg.cholesky(np.stack([edge.covariance for edge in edges]))), np.float64
+        )
         return cls(parent, child, se3.inverse(measured), whiten)
 
     def updates(self, poses: Float) -> Float:
