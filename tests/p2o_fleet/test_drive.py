@@ -34,6 +34,7 @@ def test_csv_and_parquet_tables_give_the_same_drives(tmp_path: Path) -> None:
         (HEAD + ROW.replace("-3.5", "cold"), "line 2.*temperature_c"),
         (HEAD + 'van-1,"front\n', "cannot be read"),
         (HEAD + ROW.replace("-3.5,", "-3.5,wind\u202escreen"), "line 2.*service"),
+        (HEAD + ROW.replace("van-1", "v" * 300), "line 2.*vehicle"),
         (HEAD + ROW.replace("-3.5", "1e300"), "line 2.*temperature_c"),
         (HEAD + ROW.replace("2026-01-01T10", "1960-01-01T10"), "line 2.*time"),
     ],

@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from p2o.errors import InputError, printable
 from p2o.files.input_file import existing_folder, expanded, listing, read_bytes, read_start, read_text
@@ -23,7 +24,7 @@ REQUIRED = ("vehicle", "camera", "lidar", "data", "extrinsic", "time")
 OPTIONAL = ("vehicle_type", "service", "temperature_c", "frames")
 TEMPERATURES = (-100.0, 200.0)
 """Lowest and highest temperature in degrees Celsius."""
-_MAX_LINE = 1 << 16
+_MAX_LINE, _MAX_FOLDER = 1 << 16, 240
 _MAX_EXTRINSIC = 64 << 20
 _BAGS = (".bag", ".mcap", ".db3")
 _TIME_IN_NAME = re.compile(r"(\d{4}-\d{2}-\d{2})T(\d{2})[-:](\d{2})[-:](\d{2})")
@@ -151,8 +152,10 @@ def _drive(row: Mapping[str, Any], where: str) -> Drive:
 
 def _text(row: Mapping[str, Any], name: str, where: str) -> str:
     text = str(row.get(name) if row.get(name) is not None else "").strip()
-    if (not text and name in REQUIRED) or len(text) > MAX_TEXT or printable(text) != text:
-        expected = f"a text of 1 to {MAX_TEXT} printable characters"
+    longest = _MAX_FOLDER if name == "vehicle" else MAX_TEXT
+    size = len(quote(text, safe="")) if name == "vehicle" else len(text)
+    if (not text and name in REQUIRED) or size > longest or printable(text) != text:
+        expected = f"a text of 1 to {longest} printable characters"
         raise InputError(f"{name} is not valid", where=where, expected=expected, got=text[:80] or "nothing")
     return text
 

@@ -23,8 +23,8 @@ from p2o_fleet.store import Store
 
 BANK = "noise.json"
 _DAY_S = 86400.0
-_BEGIN = 1767225600.0
-"""Time of the first check of a simulated fleet: 2026-01-01, in s since 1970."""
+_BEGIN = 1577836800.0
+"""Time of the first check of a simulated fleet: 2020-01-01, in s since 1970, so that none is in the future."""
 _POSE = (0.0, -1.0, 0.0, 0.0, 0.0, 0.0, -1.0, -0.1, 1.0, 0.0, 0.0, -0.3)
 """True extrinsic of all simulated vehicles: a camera that looks forward."""
 _REASONS = {

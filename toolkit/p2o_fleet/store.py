@@ -17,7 +17,7 @@ from typing import IO, Any
 from urllib.parse import quote, unquote
 
 from p2o.errors import InputError, P2OError
-from p2o.files.input_file import expanded, read_bytes, read_start
+from p2o.files.input_file import expanded, read_bytes
 from p2o.files.parsed_text import parse_json
 from p2o.files.whole_file import sync_folder, write_errors, write_whole
 
@@ -116,17 +116,15 @@ class Store:
             self.checks_folder.mkdir(parents=True, exist_ok=True)
             self.journals.mkdir(exist_ok=True)
             sync_folder(self.root)
-        for path in _journals(self.journals):
-            damaged: list[str] = []
-            with contextlib.suppress(FileNotFoundError, InputError):  # another writer was faster; not a regular file
-                read_start(path, "journal", 1)
-                with path.open("rb") as journal:
-                    if _lock(journal):  # its writer has ended
-                        self.add(_lines(path, 0, damaged)[0])
-                        if damaged:  # its lines are kept for a look at them
-                            path.rename(path.with_suffix(".damaged"))
-                        path.unlink(missing_ok=True)
-            writer.damaged += damaged
+        for path in _journals(self.journals, writer.damaged):
+            with contextlib.suppress(FileNotFoundError), path.open("rb") as journal:
+                if _lock(journal):  # its writer has ended
+                    damaged: list[str] = []
+                    self.add(_lines(path, 0, damaged)[0])
+                    if damaged:  # its lines are kept for a look at them
+                        path.rename(path.with_suffix(".damaged"))
+                    path.unlink(missing_ok=True)
+                    writer.damaged += damaged
         return writer
 
     def add(self, rows: Iterable[Row]) -> None:
@@ -178,7 +176,7 @@ class Store:
         return path
 
     def _journalled(self, damaged: list[str]) -> Iterator[Row]:
-        for path in _journals(self.journals):
+        for path in _journals(self.journals, damaged):
             with contextlib.suppress(FileNotFoundError):
                 yield from _lines(path, 0, damaged)[0]
 
@@ -237,7 +235,7 @@ class Writer:
 
     def _follow(self) -> None:
         """Read what other writers have appended to their journals since the last call."""
-        for path in _journals(self.store.journals):
+        for path in _journals(self.store.journals, []):
             with contextlib.suppress(FileNotFoundError):
                 if path != self._path and path.stat().st_size > self._offsets.get(path, 0):
                     rows, self._offsets[path] = _lines(path, self._offsets.get(path, 0), self.damaged)
@@ -325,8 +323,11 @@ def _rows_once(table: Any) -> Any:
     return table.take(sorted(first.values()))
 
 
-def _journals(folder: Path) -> list[Path]:
-    return sorted(folder.glob("*.jsonl"))
+def _journals(folder: Path, damaged: list[str]) -> list[Path]:
+    """Return the journals in a folder; `damaged` names devices, pipes and folders, which are never opened."""
+    every = [path for path in sorted(folder.glob("*.jsonl")) if path.exists()]
+    damaged += [f"{path}: the journal is not a file" for path in every if not path.is_file()]
+    return [path for path in every if path.is_file()]
 
 
 def _lines(path: Path, offset: int, damaged: list[str]) -> tuple[list[Row], int]:
@@ -336,8 +337,7 @@ def _lines(path: Path, offset: int, damaged: list[str]) -> tuple[list[Row], int]
     are not rows are skipped and named in `damaged`. Raises FileNotFoundError if the journal has been stored meanwhile.
     """
     try:
-        empty = path.is_file() and path.stat().st_size == 0
-        data = b"" if empty else read_bytes(path, "journal", _MAX_JOURNAL)
+        data = read_bytes(path, "journal", _MAX_JOURNAL) if path.stat().st_size else b""
     except InputError as problem:
         if isinstance(problem.__cause__, FileNotFoundError):
             raise problem.__cause__ from problem
