@@ -306,7 +306,8 @@ def _read(path: Path, vehicle: str, damaged: list[str], names: Sequence[str] = R
     """
     try:
         with open_parquet(path, "evidence", _MAX_ROWS) as file:
-            table = file.read([name for name in names if name in file.schema_arrow.names], use_threads=False)
+            stored = set(file.schema_arrow.names)
+            table = file.read([name for name in names if name in stored], use_threads=False)
             return table, Checks.of(table, vehicle)
     except InputError as problem:
         if isinstance(problem.__cause__, FileNotFoundError):
