@@ -22,9 +22,9 @@ import pytest
 import yaml
 from kills import write_drives
 from p2o.cli import main
+from p2o_fleet.evidence import COLUMNS
 from p2o_fleet.fleet_state import fleet_state
 from p2o_fleet.page import write_page
-from p2o_fleet.schema import COLUMNS
 from p2o_fleet.simulation import Fault, NoiseBank, Scenario, simulated_fleet, write_fleet
 from p2o_fleet.store import Store
 

@@ -20,8 +20,6 @@ from tests.p2o_rig.random_rigs import random_rig
 from tests.p2o_rig.result_files import COVARIANCE, TOO_UNSURE, exact, result, write_results, write_sensors
 from tests.pages import blocks, shell_blocks
 
-pytest.importorskip("pyceres", reason='needs pip install ".[ceres]"')
-
 PAGE = "docs/how-to/several-lidars.md"
 CAMERAS = ("front", "left")
 AT = "-0.8,0.6,-0.3,10,0,60"

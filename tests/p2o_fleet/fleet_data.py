@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 from p2o.arrays import Float
 from p2o_fleet.drive import Drive
-from p2o_fleet.evidence import CheckEvidence, Verdict
-from p2o_fleet.schema import row_of
+from p2o_fleet.evidence import Evidence, Verdict, estimate_columns
 from p2o_fleet.store import Store
 
 BEGIN = 1767225600.0  # 2026-01-01
@@ -22,28 +21,17 @@ def drive(vehicle: str = "a", number: int = 0, **changes: object) -> Drive:
     return replace(plain, **changes)  # type: ignore[arg-type]
 
 
-def evidence(of: Drive, error: Float | None = None, **changes: object) -> CheckEvidence:
-    size = np.zeros(6) if error is None else error
-    plain = CheckEvidence(
-        of,
-        of.key(),
-        Verdict.HOLDS,
-        "no axis is off by more than its limit",
-        ("0", "1", "2", "3", "4", "5", "6", "7"),
-        size,
-        np.diag(SIGMA**2),
-        POSE,
-        10.0,
-        200,
-        f"log of {of.data}",
-        "digest",
-        4.0,
-        "0.1",
-    )
-    return replace(plain, **changes)  # type: ignore[arg-type]
+def evidence(of: Drive, error: Float | None = None, covariance: Float | None = None, **changes: object) -> Evidence:
+    """Return the evidence on a drive; with a verdict of no estimate, without one."""
+    size, spread = np.zeros(6) if error is None else error, np.diag(SIGMA**2) if covariance is None else covariance
+    estimate = {} if "verdict" in changes else estimate_columns(size, spread)
+    plain: dict[str, object] = {"verdict": Verdict.HOLDS, "reason": "no axis is off by more than its limit"}
+    plain |= {"frames": tuple("01234567"), "frame_count": 8, "camera_from_lidar": tuple(POSE[:3].ravel().tolist())}
+    plain |= {"log": f"log of {of.data}", "extrinsic_digest": "digest", **estimate, **changes}
+    return Evidence.of(of, of.key(), **plain)  # type: ignore[arg-type]
 
 
 def filled(store: Store, vehicle: str, errors: Float, **changes: object) -> None:
     """Store one check for each error (T, 6) of a vehicle."""
     store.journals.mkdir(parents=True, exist_ok=True)
-    store.add(row_of(evidence(drive(vehicle, at, **changes), error)) for at, error in enumerate(errors))
+    store.add(evidence(drive(vehicle, at, **changes), error).row() for at, error in enumerate(errors))

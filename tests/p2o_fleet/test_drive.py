@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 from p2o.errors import InputError
 from p2o_fleet.drive import Drive, drives_of, parse_time
@@ -31,6 +33,10 @@ def test_csv_and_parquet_tables_give_the_same_drives(tmp_path: Path) -> None:
         (HEAD + ROW + ROW.replace("2026-01-01", "yesterday"), "line 3.*time"),
         (HEAD + ROW.replace("-3.5", "cold"), "line 2.*temperature_c"),
         (HEAD + 'van-1,"front\n', "cannot be read"),
+        (HEAD + ROW.replace("-3.5,", "-3.5,wind\u202escreen"), "line 2.*service"),
+        (HEAD + ROW.replace("van-1", "v" * 300), "line 2.*vehicle"),
+        (HEAD + ROW.replace("-3.5", "1e300"), "line 2.*temperature_c"),
+        (HEAD + ROW.replace("2026-01-01T10", "1960-01-01T10"), "line 2.*time"),
     ],
 )
 def test_an_invalid_table_names_row_and_column(tmp_path: Path, text: str, named: str) -> None:
@@ -74,3 +80,30 @@ def test_the_key_changes_with_the_content_of_the_extrinsic_and_with_the_settings
     assert one.key("9") != before
     file.write_text("second")
     assert one.key("8") != before
+
+
+@pytest.mark.skipif(os.name == "nt", reason="needs pipes and devices")
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+@pytest.mark.parametrize("kind", ["pipe", "device"])
+def test_tables_and_extrinsics_that_are_no_files_are_never_opened(tmp_path: Path, suffix: str, kind: str) -> None:
+    path = tmp_path / f"drives{suffix}"
+    if kind == "pipe":
+        os.mkfifo(path)
+    else:
+        path.symlink_to("/dev/zero")
+    with pytest.raises(InputError, match="the table of drives is a"):
+        list(drives_of(str(path)))
+    assert Drive("a", "front", "top", "folder:x", str(path), 0.0).key(), "an extrinsic is identified by its name"
+
+
+def test_a_table_of_long_equal_texts_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    row = {"vehicle": "a", "camera": "front", "lidar": "top", "data": "x" * 1_000_000, "extrinsic": "e", "time": "0"}
+    rows = pa.array(np.zeros(20_000, np.int32))
+    table = pa.table({name: pa.DictionaryArray.from_arrays(rows, pa.array([text])) for name, text in row.items()})
+    pq.write_table(table, tmp_path / "drives.parquet")
+    assert (tmp_path / "drives.parquet").stat().st_size < 1_000_000
+    with pytest.raises(InputError, match="data is not valid"):
+        list(drives_of(str(tmp_path / "drives.parquet")))

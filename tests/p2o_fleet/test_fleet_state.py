@@ -11,7 +11,6 @@ from p2o.errors import InputError
 from p2o.geometry.pose_error import pose_error
 from p2o_fleet.evidence import Verdict
 from p2o_fleet.fleet_state import ExtrinsicState, FleetRules, FleetStatus, fleet_state
-from p2o_fleet.schema import row_of
 from p2o_fleet.store import Store
 
 from tests.p2o_fleet.fleet_data import BEGIN, POSE, SIGMA, drive, evidence, filled
@@ -69,10 +68,10 @@ def test_an_error_within_the_tolerance_holds(tmp_path: Path) -> None:
 
 def test_few_or_weak_checks_cannot_tell(tmp_path: Path) -> None:
     store = Store(tmp_path)
-    store.add(row_of(evidence(drive("weak", 0), np.zeros(6), covariance=np.diag((20 * SIGMA) ** 2))) for _ in range(1))
-    lost = {"verdict": Verdict.CANNOT_TELL, "error": None, "covariance": None, "reason": "too few pairs"}
+    store.add(evidence(drive("weak", 0), np.zeros(6), covariance=np.diag((20 * SIGMA) ** 2)).row() for _ in range(1))
+    lost = {"verdict": Verdict.CANNOT_TELL, "reason": "too few pairs"}
     filled(store, "dirty", noise(0, 8))
-    store.add(row_of(evidence(drive("dirty", number), **lost)) for number in range(8, 14))
+    store.add(evidence(drive("dirty", number), **lost).row() for number in range(8, 14))
     found = states(store)
     assert found["weak"].status is FleetStatus.CANNOT_TELL
     assert "may stay undetected on roll" in found["weak"].reason
@@ -84,7 +83,7 @@ def test_a_new_extrinsic_begins_a_new_history_and_ends_the_alarm(tmp_path: Path)
     store = Store(tmp_path)
     filled(store, "a", noise(0, 20) + [0, 0, 1.0, 0, 0, 0])
     store.add(
-        row_of(evidence(drive("a", n), e, extrinsic_digest="new"))
+        evidence(drive("a", n), e, extrinsic_digest="new").row()
         for n, e in zip(range(20, 40), noise(1, 20), strict=True)
     )
     state = fleet_state(store)
@@ -99,9 +98,7 @@ def test_a_change_at_a_service_is_reported_by_axis(tmp_path: Path) -> None:
     store = Store(tmp_path)
     filled(store, "a", noise(0, 20), service="")
     after = noise(1, 20) + [0.12, 0, 0, 0, 0, 0]
-    store.add(
-        row_of(evidence(drive("a", n, service="windscreen"), e)) for n, e in zip(range(20, 40), after, strict=True)
-    )
+    store.add(evidence(drive("a", n, service="windscreen"), e).row() for n, e in zip(range(20, 40), after, strict=True))
     [change] = fleet_state(store).services
     assert (change.vehicle, change.service, change.time) == ("a", "windscreen", BEGIN + 8640 * 20)
     [axis] = change.axes
@@ -131,7 +128,7 @@ def test_a_drift_with_temperature_is_no_slip(tmp_path: Path) -> None:
         rows = []
         for at, error in enumerate(noise(number, 60)):
             size = error + np.eye(6)[1] * 0.01 * temperature[at]
-            rows.append(row_of(evidence(drive(f"van-{number}", at, temperature_c=float(temperature[at])), size)))
+            rows.append(evidence(drive(f"van-{number}", at, temperature_c=float(temperature[at])), size).row())
         store.add(rows)
     assert fleet_state(store, FleetRules(trends=False)).alarms
     state = fleet_state(store)
@@ -149,3 +146,74 @@ def test_a_drift_with_temperature_is_no_slip(tmp_path: Path) -> None:
 def test_rules_out_of_bounds_are_refused(name: str, value: object) -> None:
     with pytest.raises(InputError):
         FleetRules(**{name: value})  # type: ignore[arg-type]
+
+
+def _alarmed(store: Store) -> None:
+    """Store 40 checks of a vehicle whose extrinsic slipped by half a degree, and those of one that holds."""
+    error = noise(0, 40)
+    error[20:, 2] += 0.5
+    filled(store, "a", error)
+    filled(store, "b", noise(1, 40))
+
+
+@pytest.mark.parametrize(
+    "stray",
+    [
+        {"time": 4070908800.0, "extrinsic_digest": "new"},
+        {"time": 4070908800.0, "service": "windscreen"},
+        {"service": "windscren"},
+        {"extrinsic_digest": "new"},
+        {"vehicle_type": "vna"},
+        {"camera": "frnt"},
+        {"time": 0.0, "extrinsic_digest": "new"},
+        {"time": BEGIN + 30 * 8640 + 1, "service": "windscren"},
+    ],
+)
+def test_a_stray_row_ends_no_alarm(tmp_path: Path, stray: dict[str, object]) -> None:
+    store = Store(tmp_path)
+    _alarmed(store)
+    before = fleet_state(store, now=BEGIN + 1e8)
+    store.add([{**evidence(drive("a", 40)).row(), **stray}])
+    [alarmed] = fleet_state(store, now=BEGIN + 1e8).alarms
+    assert (alarmed.vehicle, alarmed.status) == ("a", FleetStatus.SLIPPED)
+    assert fleet_state(store, now=BEGIN + 1e8).until <= before.until + 8640
+
+
+@pytest.mark.parametrize("count", [2, 10])
+@pytest.mark.parametrize("change", [{"time": 4070908800.0, "extrinsic_digest": "new"}, {"service": "windscren"}])
+def test_a_new_name_or_a_wrong_clock_ends_no_alarm_whose_error_persists(
+    tmp_path: Path, change: dict[str, object], count: int
+) -> None:
+    store = Store(tmp_path)
+    _alarmed(store)
+    rows = [evidence(drive("a", 40 + n), e + [0, 0, 0.5, 0, 0, 0]).row() for n, e in enumerate(noise(2, count))]
+    store.add({**row, **change, "time": change.get("time", row["time"]) + 60 * n} for n, row in enumerate(rows))  # type: ignore[operator]
+    assert [one.vehicle for one in fleet_state(store, now=BEGIN + 1e8).alarms] == ["a"]
+
+
+def test_times_in_the_future_are_named_and_end_no_alarm_even_without_its_error(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    _alarmed(store)
+    store.add(
+        {**evidence(drive("a", 40 + n), e, extrinsic_digest="new").row(), "time": 4070908800.0 + n}
+        for n, e in enumerate(noise(2, 20))
+    )
+    state = fleet_state(store, now=BEGIN + 1e8)
+    assert [one.vehicle for one in state.alarms] == ["a"]
+    assert "a: 20 checks have times in the future" in state.remarks
+
+
+def test_a_service_that_removes_the_error_ends_the_alarm_after_the_second_check(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    _alarmed(store)
+    for count, alarms in ((1, 1), (2, 0)):
+        store.add([evidence(drive("a", 39 + count, service="windscreen"), np.zeros(6)).row()])
+        assert len(fleet_state(store).alarms) == alarms
+
+
+def test_a_store_without_anything_that_can_be_read_is_refused(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    filled(store, "a", np.zeros((1, 6)))
+    store.parts("a")[0].write_bytes(b"nothing")
+    with pytest.raises(InputError, match="no evidence of the store can be read"):
+        fleet_state(store)

@@ -76,19 +76,6 @@ def test_the_process_after_some_checks_is_that_of_all_checks() -> None:
     assert e_process(error, covariance, EXACT, at) == pytest.approx(e_process(error, covariance, EXACT)[at])
 
 
-def test_the_mixture_over_onsets_is_its_definition_over_many_blocks_of_checks() -> None:
-    ratios = np.random.default_rng(4).normal(-0.5, 2.0, size=(100, 2))
-    prior = onset_prior(100)
-    direct = [
-        np.logaddexp(
-            np.logaddexp.reduce([np.log(prior[k]) + ratios[k : t + 1].sum(axis=0) for k in range(t + 1)]),
-            np.log(1 - prior[: t + 1].sum()),
-        )
-        for t in range(100)
-    ]
-    assert mixture_over_onsets(ratios) == pytest.approx(np.array(direct))
-
-
 def test_differences_from_the_previous_mean_are_standard_normal_about_any_constant() -> None:
     rng = np.random.default_rng(1)
     sigma = rng.uniform(0.5, 2.0, size=(40, 2000))
@@ -163,8 +150,6 @@ def test_the_mean_ignores_a_wrong_match_and_has_the_covariance_of_the_mean() -> 
     mean = mean_error(error, np.repeat(COVARIANCE[None], 10, axis=0))
     assert abs(mean.error[2]) < 0.02
     assert mean_error(np.zeros((10, 6)), np.repeat(COVARIANCE[None], 10, 0)).sigma == pytest.approx(SIGMA / np.sqrt(10))
-    low, high = mean.interval(2)
-    assert high - low == pytest.approx(2 * 1.96 * mean.sigma[2], rel=1e-4)
 
 
 def test_the_noise_scale_is_one_for_predicted_noise_and_makes_bets_on_larger_noise_fair() -> None:
@@ -199,8 +184,7 @@ def test_a_common_error_of_thirty_vehicles_is_significant_and_their_spread_is_no
     test = systematic(means, sigmas, tolerance)
     assert test.log_e.argmax() == 2
     assert test.log_e[2] > np.log(600)
-    low, high = test.interval(2)
-    assert low < 0.1 < high
+    assert abs(test.error[2] - 0.1) < 2 * test.sigma[2]
 
 
 def test_one_slipped_vehicle_is_no_error_of_its_type() -> None:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 from p2o.errors import InputError
-from p2o_fleet.evidence import Verdict
-from p2o_fleet.schema import COLUMNS, Checks
-from p2o_fleet.store import MAX_DAYS, Store, read_part
+from p2o_fleet.checks import Checks
+from p2o_fleet.evidence import COLUMNS, Verdict
+from p2o_fleet.store import Store
 
 from tests.p2o_fleet.fleet_data import BEGIN, POSE, SIGMA, drive, evidence, filled
 
@@ -36,15 +37,17 @@ def test_evidence_is_read_as_it_was_stored(tmp_path: Path) -> None:
     assert {name: values[0] for name, values in checks.texts.items()}["verdict"] == "holds"
 
 
-def test_files_lie_by_vehicle_and_day_and_have_the_documented_columns(tmp_path: Path) -> None:
+def test_files_lie_by_vehicle_and_month_and_have_the_documented_columns(tmp_path: Path) -> None:
+    import pyarrow.parquet
+
     store = Store(tmp_path)
-    filled(store, "van/7 ü", np.zeros((12, 6)))
+    filled(store, "van/7 ü", np.zeros((312, 6)))
     paths = store.parts("van/7 ü")
     assert [path.parent.relative_to(tmp_path).as_posix() for path in paths] == [
-        "checks/vehicle=van%2F7%20%C3%BC/day=2026-01-01",
-        "checks/vehicle=van%2F7%20%C3%BC/day=2026-01-02",
+        "checks/vehicle=van%2F7%20%C3%BC/day=2026-01",
+        "checks/vehicle=van%2F7%20%C3%BC/day=2026-02",
     ]
-    assert read_part(paths[0]).column_names == list(COLUMNS)
+    assert pyarrow.parquet.read_schema(paths[0]).names == list(COLUMNS)
     assert store.vehicles() == ["van/7 ü"]
     assert not list(store.journals.iterdir())
 
@@ -53,11 +56,11 @@ def test_pyarrow_reads_the_store_as_one_partitioned_data_set(tmp_path: Path) -> 
     import pyarrow.dataset
 
     for vehicle in ("a", "b"):
-        filled(Store(tmp_path), vehicle, np.zeros((12, 6)))
+        filled(Store(tmp_path), vehicle, np.zeros((312, 6)))
     read = pyarrow.dataset.dataset(tmp_path / "checks", format="parquet", partitioning="hive")
-    first_day = pyarrow.dataset.field("day") == "2026-01-01"
-    assert read.count_rows() == 24
-    assert read.to_table(filter=first_day & (pyarrow.dataset.field("vehicle") == "b")).num_rows == 10
+    second = pyarrow.dataset.field("day") == "2026-02"
+    assert read.count_rows() == 624
+    assert read.to_table(filter=second & (pyarrow.dataset.field("vehicle") == "b")).num_rows == 2
 
 
 def test_the_same_check_again_changes_nothing(tmp_path: Path) -> None:
@@ -90,7 +93,7 @@ def test_a_late_log_takes_its_place_in_time(tmp_path: Path) -> None:
 
 
 def test_an_unreadable_log_is_tried_again_and_replaced_by_its_evidence(tmp_path: Path) -> None:
-    store, bad = Store(tmp_path), {"verdict": Verdict.UNREADABLE, "reason": "cut off", "log": "", "error": None}
+    store, bad = Store(tmp_path), {"verdict": Verdict.UNREADABLE, "reason": "cut off", "log": ""}
     with store.writer() as writer:
         assert writer.put(evidence(drive("a"), **bad))
         assert not writer.finished(drive("a"), drive("a").key())
@@ -155,7 +158,7 @@ def test_a_full_disk_is_one_line_and_loses_nothing(tmp_path: Path, monkeypatch: 
     assert len(only(store)) == 1, "no half line is left"
     writer.put(evidence(drive("a", 1)))
     with monkeypatch.context() as patch:
-        patch.setattr("p2o_fleet.store.write_durable", lambda path, data, root: full(0))
+        patch.setattr("p2o_fleet.store.sync_folder", full)
         with pytest.raises(InputError, match="No space left on device"):
             writer.fold()
     assert len(only(store)) == 2, "the journal is kept until its files are written"
@@ -213,20 +216,19 @@ def test_files_and_their_folders_are_on_the_disk_before_the_journal_is_removed(
         assert_on_disk_before(operations, path, store, inode)
 
 
-def test_a_merged_file_is_on_the_disk_before_those_that_it_contains_are_removed(
+def test_a_file_is_on_the_disk_before_those_that_it_contains_are_removed(
     tmp_path: Path, operations: list[tuple[str, int]]
 ) -> None:
     store = Store(tmp_path)
-    filled(store, "a", np.zeros((30, 6)))
-    inodes = [path.stat().st_ino for path in store.parts("a")]
-    assert len(inodes) == 3
-    store.compact()
+    filled(store, "a", np.zeros((3, 6)))
+    [before] = store.parts("a")
+    inode = before.stat().st_ino
+    store.add([evidence(drive("a", 5)).row()])
     [path] = store.parts("a")
-    for inode in inodes:
-        assert_on_disk_before(operations, path, store, inode)
+    assert_on_disk_before(operations, path, store, inode)
 
 
-def test_a_folder_that_a_merge_of_another_process_removes_is_created_again(
+def test_a_folder_that_another_process_removes_is_created_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     store, mkdir, removed = Store(tmp_path), Path.mkdir, list[Path]()
@@ -243,29 +245,40 @@ def test_a_folder_that_a_merge_of_another_process_removes_is_created_again(
     assert len(only(store)) == 1
 
 
-def test_files_of_many_days_are_merged_by_month_and_year_and_every_check_is_kept(tmp_path: Path) -> None:
+def test_runs_of_many_days_leave_one_file_for_each_month_and_every_check(tmp_path: Path) -> None:
     store = Store(tmp_path)
-    errors = np.random.default_rng(0).normal(size=(580, 6))
-    for day in range(58):  # January and most of February, as daily runs write them
+    errors = np.random.default_rng(0).normal(size=(400, 6))
+    for day in range(40):
         with store.writer() as writer:
             for number in range(10 * day, 10 * day + 10):
                 writer.put(evidence(drive("a", number), errors[number]))
-        assert len(store.parts("a")) <= MAX_DAYS + 2
-    folders = {path.parent.name for path in store.parts("a")}
-    assert {name for name in folders if len(name) < len("day=2026-01-01")} == {"day=2026", "day=2026-02"}
+    assert [path.parent.name for path in store.parts("a")] == ["day=2026-01", "day=2026-02"]
     assert (only(store).error == errors).all()
     with store.writer() as writer:
-        assert writer.finished(drive("a", 7), drive("a", 7).key()), "a merged check is finished"
+        assert writer.finished(drive("a", 7), drive("a", 7).key()), "a check in the file of a month is finished"
         writer.put(evidence(drive("a", 5, data="folder:late")))
-    assert store.compact() == 2
-    assert sorted(path.parent.name for path in store.parts("a")) == ["day=2026", "day=2026-02"]
-    assert len(only(store)) == 581
-    assert store.compact() == 0
+    assert len(store.parts("a")) == 2
+    assert len(only(store)) == 401
 
 
-def test_a_merge_that_is_killed_counts_no_check_twice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_by_day_and_year_of_earlier_versions_are_read_and_those_of_days_are_replaced(tmp_path: Path) -> None:
     store = Store(tmp_path)
-    filled(store, "a", np.zeros((30, 6)))
+    filled(store, "a", np.zeros((330, 6)))
+    for month, before in (("day=2026-01", "day=2026"), ("day=2026-02", "day=2026-02-01")):
+        (store.folder("a") / month).rename(store.folder("a") / before)
+    with store.writer() as writer:
+        for number in (7, 315):
+            assert writer.finished(drive("a", number), drive("a", number).key())
+        writer.put(evidence(drive("a", 325, data="folder:late")))
+    assert [path.parent.name for path in store.parts("a")] == ["day=2026", "day=2026-02"]
+    assert len(only(store)) == 331
+
+
+def test_a_writer_that_is_killed_while_it_replaces_a_file_counts_no_check_twice(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = Store(tmp_path)
+    filled(store, "a", np.zeros((20, 6)))
 
     def killed(path: Path, missing_ok: bool = False) -> None:
         raise KeyboardInterrupt
@@ -273,21 +286,26 @@ def test_a_merge_that_is_killed_counts_no_check_twice(tmp_path: Path, monkeypatc
     with monkeypatch.context() as patch:
         patch.setattr(Path, "unlink", killed)
         with pytest.raises(KeyboardInterrupt):
-            store.compact()
+            filled(store, "a", np.zeros((30, 6)))
+    assert len(store.parts("a")) == 2
     assert len(only(store)) == 30
-    store.compact()
-    assert len(only(store)) == 30
+    filled(store, "a", np.zeros((31, 6)))
+    assert len(only(store)) == 31
     assert len(store.parts("a")) == 1
 
 
-def test_two_merges_at_the_same_time_lose_no_check(tmp_path: Path) -> None:
+def test_two_processes_that_replace_the_same_file_lose_no_check(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     store = Store(tmp_path)
-    filled(store, "a", np.zeros((30, 6)))
+    filled(store, "a", np.zeros((20, 6)))
     before = store.parts("a")
-    filled(store, "a", np.ones((40, 6)))
-    assert store._merge("a", store.parts("a"))
-    assert not store._merge("a", before), "the files that this merge listed are gone"
-    assert len(only(store)) == 40
+    filled(store, "a", np.zeros((30, 6)))
+    with monkeypatch.context() as patch:
+        patch.setattr(Store, "parts", lambda self, vehicle: before)
+        store.add([evidence(drive("a", 35)).row()])
+    assert len(store.parts("a")) == 2, "the file that was listed is gone"
+    assert len(only(store)) == 31
 
 
 def test_a_reader_that_lists_folders_while_files_are_merged_reads_every_check(
@@ -299,22 +317,143 @@ def test_a_reader_that_lists_folders_while_files_are_merged_reads_every_check(
 
     def parts(self: Store, vehicle: str, day: str | None = None) -> list[Path]:
         listings.append(vehicle)
-        # The first listing saw the folders of days before the merge, and their content after it.
+        # The first listing saw the folders before a file was replaced, and their content after it.
         return [] if len(listings) == 1 else real(self, vehicle, day)
 
     monkeypatch.setattr(Store, "parts", parts)
     assert len(only(store)) == 30
 
 
-def test_a_damaged_file_is_named(tmp_path: Path) -> None:
-    store = Store(tmp_path)
-    filled(store, "a", np.zeros((1, 6)))
-    [path] = store.parts("a")
-    path.write_bytes(path.read_bytes()[:-100])
-    with pytest.raises(InputError, match=path.name):
-        list(store.checks())
-
-
 def test_a_folder_without_a_store_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no store"):
         Store.existing(tmp_path / "nothing")
+
+
+def _rewritten(path: Path, **columns: object) -> None:
+    """Replace columns of a Parquet file, and leave out those that are None."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    table = pq.ParquetFile(path).read()
+    for name, values in columns.items():
+        table = table.drop_columns(name)
+        if values is not None:
+            table = table.append_column(name, pa.array(values))  # type: ignore[arg-type]
+    pq.write_table(table, path)
+
+
+NAN = float("nan")
+
+
+@pytest.mark.parametrize(
+    ("columns", "reason"),
+    [
+        ({"covariance": None}, "no column covariance"),
+        ({"covariance": [[1.0] * 20]}, "wrong length"),
+        ({"covariance": [[1.0] * 21]}, "covariance is out of range"),
+        ({"covariance": [[-1.0] * 21]}, "covariance is out of range"),
+        ({"covariance": [[NAN] * 21]}, "covariance is out of range"),
+        ({"covariance": ["none"]}, "wrong type"),
+        ({"yaw_deg": [1e9]}, "out of range"),
+        ({"yaw_deg": [float("inf")]}, "out of range"),
+        ({"yaw_deg": [None]}, "out of range"),
+        ({"time": [10**18]}, "time is out of range"),
+        ({"time": [-1]}, "time is out of range"),
+        ({"time": ["yesterday"]}, "wrong type"),
+        ({"camera_from_lidar": [[0.0] * 12]}, "camera_from_lidar is out of range"),
+        ({"camera_from_lidar": [[1.0, 2.0]]}, "wrong length"),
+        ({"verdict": ["perhaps"]}, "verdict is out of range"),
+        ({"camera": [None]}, "camera is missing"),
+        ({"camera": ["a\u202eb"]}, "camera is not valid"),
+        ({"reason": ["long" * 2000]}, "reason is not valid"),
+        ({"vehicle": ["b"]}, "vehicle is out of range"),
+        ({"frame_count": [-5]}, "frame_count is out of range"),
+        ({"temperature_c": [1e300]}, "temperature_c is out of range"),
+    ],
+)
+def test_a_file_with_values_that_no_check_has_is_skipped_and_named(
+    tmp_path: Path, columns: dict[str, object], reason: str
+) -> None:
+    store = Store(tmp_path)
+    filled(store, "a", np.zeros((301, 6)))
+    store.add([evidence(drive("a", 311)).row()])
+    [_, bad] = store.parts("a")
+    _rewritten(bad, **columns)
+    checks = only(store)
+    assert len(checks) == 301
+    [text] = checks.damaged
+    assert bad.name in text
+    assert reason in text
+    with store.writer() as writer:
+        assert not writer.finished(drive("a", 311), drive("a", 311).key()), "it is checked again"
+        assert bad.name in writer.damaged[0]
+    store.add([evidence(drive("a", 312)).row()])
+    assert bad.exists(), "a damaged file is not replaced"
+    assert len(only(store)) == 302
+
+
+def _special_file(path: Path, kind: str) -> None:
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "device":
+        path.symlink_to("/dev/zero")
+    elif kind == "folder":
+        path.mkdir()
+    else:
+        path.write_bytes(b"PAR1 and nothing else")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="needs pipes and devices")
+@pytest.mark.parametrize("kind", ["pipe", "device", "folder", "damaged file"])
+def test_a_part_or_journal_that_is_no_file_of_the_store_is_skipped_and_named(tmp_path: Path, kind: str) -> None:
+    store = Store(tmp_path)
+    filled(store, "a", np.zeros((2, 6)))
+    [path] = store.parts("a")
+    _special_file(path.with_name("part-0.parquet"), kind)
+    _special_file(store.journals / "0.jsonl", kind)
+    with store.writer() as writer:
+        assert writer.finished(drive("a", 1), drive("a", 1).key())
+        assert kind == "damaged file" or any("0.jsonl" in text for text in writer.damaged)
+    checks = only(store)
+    assert len(checks) == 2
+    assert any("part-0.parquet" in text for text in checks.damaged)
+    assert kind == "damaged file" or any("0.jsonl" in text for text in checks.damaged)
+
+
+def test_a_line_of_a_journal_that_is_no_row_is_skipped_and_named_and_kept(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    good = evidence(drive("a", 0)).row()
+    bad = [7, [1], None, "text", {}, {**good, "time": "never"}, {**good, "time": 1e300}, {**good, "yaw_deg": 1e9}]
+    bad += [{**good, "covariance": [1.0]}, {**good, "cells": "many"}, {**good, "vehicle": None}]
+    lines = [json.dumps(row) for row in (bad[0], good, *bad[1:])]
+    journal = store.journals / "killed.jsonl"
+    journal.parent.mkdir()
+    journal.write_text("\n".join([*lines, "half", "{"]))
+    checks = only(store)
+    assert len(checks) == 1
+    assert len(checks.damaged) == len(bad) + 1
+    assert f"{journal}, line 1: the row is not an object" in checks.damaged[0]
+    assert store.vehicles() == ["a"]
+    with store.writer() as writer:
+        assert len(writer.damaged) == len(bad) + 1
+    assert len(only(store)) == 1
+    assert only(store).damaged == ()
+    assert journal.with_suffix(".damaged").exists()
+
+
+def test_a_small_file_that_expands_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    store = Store(tmp_path)
+    filled(store, "a", np.zeros((1, 6)))
+    [path] = store.parts("a")
+    table = pq.ParquetFile(path).read()
+    many = pa.concat_tables([table] * 1000).combine_chunks()
+    many = pa.concat_tables([many] * 500)
+    pq.write_table(many, path, compression="zstd", row_group_size=500_000)
+    assert path.stat().st_size < 5_000_000
+    filled(store, "b", np.zeros((1, 6)))
+    [damaged, good] = store.checks()
+    assert "too large" in damaged.damaged[0]
+    assert (len(damaged), len(good)) == (0, 1)

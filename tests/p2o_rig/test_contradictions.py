@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
-from p2o_rig.contradictions import consistent
+from p2o import se3
+from p2o_rig.contradictions import _loops, consistent
 from p2o_rig.sensor_graph import EdgeKind, solve
 
 from tests.p2o_rig.random_rigs import displaced, measured, random_covariance, random_rig
-
-pytest.importorskip("pyceres", reason='needs pip install ".[ceres]"')
 
 
 @pytest.mark.parametrize(("seed", "angle_deg"), [(0, 2.0), (1, 10.0), (2, 90.0)])
@@ -119,3 +120,44 @@ def test_a_bridge_is_not_checked() -> None:
     graph = consistent([*rig.edges, bridge], "lidar0")
     assert bridge.name not in graph.checks
     assert "far" in graph.solution.poses
+
+
+def test_the_loops_of_an_edge_are_none_for_a_bridge_and_the_same_for_edges_in_series() -> None:
+    rng = np.random.default_rng(13)
+    rig = random_rig(rng, 2, 2)
+    truth = {**rig.truth, "far": rig.truth["camera0"]}
+    bridge = measured(truth, "lidar1", "far", random_covariance(rng, 0.1, 0.01), EdgeKind.KNOWN, rng)
+    loops = {edge.name: number for edge, number in _loops([*rig.edges, bridge], "lidar0").items()}
+    assert loops[bridge.name] == 0
+    assert loops["camera0-lidar0 (result)"] == loops["camera0-lidar1 (result)"] != 0
+    assert len(set(loops.values())) == 4, "two cameras, the sweeps and the bridge"
+
+
+@pytest.mark.parametrize("count", [15, 100])
+def test_a_contradictory_ring_is_decided_in_seconds(count: int) -> None:
+    rng = np.random.default_rng(14)
+    truth = {f"sensor{i}": se3.exp(rng.normal(size=6)) for i in range(count)}
+    edges = [
+        measured(
+            truth, f"sensor{i}", f"sensor{(i + 1) % count}", random_covariance(rng, 0.1, 0.01), EdgeKind.KNOWN, rng
+        )
+        for i in range(count)
+    ]
+    edges[7] = displaced(edges[7], 30.0, 1.0, rng)
+    began = time.perf_counter()
+    graph = consistent(edges, "sensor0")
+    assert time.perf_counter() - began < 15
+    assert [len(one.edges) for one in graph.contradictions] == [count]
+
+
+def test_fifteen_wrong_edges_of_many_are_found_one_by_one_in_seconds() -> None:
+    rng = np.random.default_rng(15)
+    edges = list(random_rig(rng, 6, 10).edges)
+    wrong = rng.choice(len(edges), 15, replace=False)
+    for number in wrong:
+        edges[number] = displaced(edges[number], 10.0, 0.5, rng)
+    began = time.perf_counter()
+    graph = consistent(edges, "lidar0")
+    assert time.perf_counter() - began < 15
+    names = {edge.name for one in graph.contradictions for edge in one.edges}
+    assert names == {edges[number].name for number in wrong}

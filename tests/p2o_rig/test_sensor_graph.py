@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import sys
-
 import numpy as np
 import pytest
 from p2o import InputError, se3
-from p2o.errors import MethodUnavailable
 from p2o.geometry.motion import adjoint_matrix
 from p2o_rig.sensor_graph import Edge, EdgeKind, reachable, solve
 
 from tests.p2o_rig.random_rigs import measured, random_covariance, random_rig
-
-pytest.importorskip("pyceres", reason='needs pip install ".[ceres]"')
 
 
 @pytest.fixture
@@ -149,9 +144,3 @@ def test_invalid_edges_are_refused(change: dict[str, object], message: str) -> N
     with pytest.raises(InputError, match=message) as caught:
         Edge(**{**values, "kind": EdgeKind.KNOWN, **change})  # type: ignore[arg-type]
     assert "\n" not in str(caught.value)
-
-
-def test_without_ceres_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pyceres", None)
-    with pytest.raises(MethodUnavailable, match=r"pyceres, which is not installed; run: pip install .*\[ceres\]"):
-        solve([], "lidar0")

@@ -7,19 +7,25 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
-from p2o.errors import InputError
-from p2o.files.input_file import existing_folder, listing, read_text
+from p2o.errors import InputError, printable
+from p2o.files.input_file import existing_folder, expanded, listing, read_bytes, read_start, read_text
 from p2o.files.parsed_text import parse_yaml
+
+from p2o_fleet.parquet_file import MAX_TEXT, check_texts, open_parquet
 
 REQUIRED = ("vehicle", "camera", "lidar", "data", "extrinsic", "time")
 OPTIONAL = ("vehicle_type", "service", "temperature_c", "frames")
-_MAX_TEXT = 1000
+TEMPERATURES = (-100.0, 200.0)
+"""Lowest and highest temperature in degrees Celsius."""
+_MAX_LINE, _MAX_FOLDER = 1 << 16, 240
+_MAX_EXTRINSIC = 64 << 20
 _BAGS = (".bag", ".mcap", ".db3")
 _TIME_IN_NAME = re.compile(r"(\d{4}-\d{2}-\d{2})T(\d{2})[-:](\d{2})[-:](\d{2})")
 _DEFAULTS = {"camera": "camera", "lidar": "lidar", "extrinsic": "extrinsic.yaml"}
@@ -27,12 +33,12 @@ _DEFAULTS = {"camera": "camera", "lidar": "lidar", "extrinsic": "extrinsic.yaml"
 
 
 @dataclass(frozen=True)
-class Drive:
-    """One log to check: a vehicle, a pair of sensors, the data with the extrinsic in use, and when it was recorded.
+class Recording:
+    """What was recorded: a vehicle, a pair of sensors, the data with the extrinsic in use, and when.
 
     `data` is DATASET:PATH as in `p2o run`, or a URL of a bag or folder; `extrinsic` a calibration file, `truth` or
     `start`. `time` is in s since 1970 (UTC). `service` names the last service of the vehicle: with a new name, its
-    history starts again. `temperature_c` may be unknown (None). `frames` selects frames as in `p2o run`.
+    history starts again. `temperature_c` may be unknown (None).
     """
 
     vehicle: str
@@ -44,6 +50,12 @@ class Drive:
     vehicle_type: str = ""
     service: str = ""
     temperature_c: float | None = None
+
+
+@dataclass(frozen=True)
+class Drive(Recording):
+    """One log to check; `frames` selects frames as in `p2o run`."""
+
     frames: str = "all"
 
     @property
@@ -56,10 +68,9 @@ class Drive:
 
         It contains the content of the extrinsic file where this machine can read it, and `settings` of the check.
         """
-        identity = {
-            name: value for name, value in asdict(self).items() if name not in ("temperature_c", "vehicle_type")
-        }
-        identity["extrinsic"] = file_digest(self.extrinsic) or self.extrinsic
+        identity = asdict(self)
+        del identity["temperature_c"], identity["vehicle_type"]
+        identity["extrinsic"] = _file_digest(self.extrinsic) or self.extrinsic
         return hashlib.sha256(json.dumps([identity, settings], sort_keys=True).encode()).hexdigest()[:32]
 
 
@@ -68,11 +79,11 @@ def day_of(time: float) -> str:
     return datetime.fromtimestamp(time, UTC).strftime("%Y-%m-%d")
 
 
-def file_digest(path: str) -> str:
+def _file_digest(path: str) -> str:
     """Return the SHA-256 of a file, empty if it cannot be read."""
     try:
-        return hashlib.sha256(Path(path).expanduser().read_bytes()).hexdigest()
-    except (OSError, RuntimeError, ValueError):
+        return hashlib.sha256(read_bytes(expanded(path), "extrinsic", _MAX_EXTRINSIC)).hexdigest()
+    except InputError:
         return ""
 
 
@@ -81,47 +92,45 @@ def drives_of(source: str) -> Iterator[Drive]:
 
     Raises InputError for a table that is missing, lacks a column or has an invalid cell, with its row.
     """
-    path = Path(source).expanduser()
-    if path.is_dir():
-        return _of_folder(path)
+    path = expanded(source)
+    readers = {".csv": _csv_rows, ".parquet": _parquet_rows}
     suffix = path.suffix.lower()
-    if suffix not in (".csv", ".parquet"):
+    if suffix not in readers and not path.is_dir():
         expected = "a table .csv or .parquet, or a folder of vehicles"
         raise InputError("this is no table of drives", where=source, expected=expected, got=suffix or "no suffix")
-    if not path.is_file():
-        raise InputError("the table of drives does not exist", where=source)
-    return _of_csv(path) if suffix == ".csv" else _of_parquet(path)
+    for row, where in _folder_rows(path) if path.is_dir() else readers[suffix](path):
+        yield _drive(row, where)
 
 
-def _of_csv(path: Path) -> Iterator[Drive]:
+_Rows = Iterator[tuple[Mapping[str, Any], str]]
+"""Rows of a table, each with the text that names it in errors."""
+
+
+def _csv_rows(path: Path) -> _Rows:
+    read_start(path, "table of drives", 1)
     with path.open(encoding="utf-8-sig", newline="") as stream:
         try:
-            rows = csv.DictReader(stream, strict=True)
+            rows = csv.DictReader(iter(lambda: stream.readline(_MAX_LINE), ""), strict=True)
             _check_columns(rows.fieldnames or (), path)
             for number, row in enumerate(rows, start=2):
-                yield _drive(row, f"{path}, line {number}")
+                yield row, f"{path}, line {number}"
         except (csv.Error, UnicodeDecodeError) as problem:
             raise InputError("the table cannot be read", where=path, expected="CSV in UTF-8", got=problem) from problem
 
 
-def _of_parquet(path: Path) -> Iterator[Drive]:
-    import pyarrow
-    import pyarrow.parquet
-
-    try:
-        with pyarrow.parquet.ParquetFile(path) as file:
-            _check_columns(file.schema_arrow.names, path)
-            columns = [name for name in (*REQUIRED, *OPTIONAL) if name in file.schema_arrow.names]
-            number = 0
-            for batch in file.iter_batches(batch_size=4096, columns=columns):
-                for row in batch.to_pylist():
-                    yield _drive(row, f"{path}, row {number}")
-                    number += 1
-    except (pyarrow.ArrowException, OSError) as problem:
-        raise InputError("the table cannot be read", where=path, expected="Parquet", got=problem) from problem
+def _parquet_rows(path: Path) -> _Rows:
+    number = 0
+    with open_parquet(path, "table of drives") as file:
+        names = file.schema_arrow.names
+        _check_columns(names, path)
+        for batch in file.iter_batches(4096, columns=[name for name in (*REQUIRED, *OPTIONAL) if name in names]):
+            check_texts(batch)
+            for row in batch.to_pylist():
+                yield row, f"{path}, row {number}"
+                number += 1
 
 
-def _check_columns(names: Any, path: Path) -> None:
+def _check_columns(names: Iterable[str], path: Path) -> None:
     missing = [name for name in REQUIRED if name not in names]
     if missing:
         expected = f"{', '.join(REQUIRED)}; optional: {', '.join(OPTIONAL)}"
@@ -131,35 +140,34 @@ def _check_columns(names: Any, path: Path) -> None:
 
 def _drive(row: Mapping[str, Any], where: str) -> Drive:
     """Return the drive of a row; raises InputError that names row and column."""
-    texts = {name: _text(row, name, where) for name in REQUIRED if name != "time"}
-    optional = {name: str(row.get(name) or "").strip() for name in ("vehicle_type", "service")}
-    frames = str(row.get("frames") or "").strip() or "all"
+    texts = {name: _text(row, name, where) for name in (*REQUIRED, *OPTIONAL) if name not in ("time", "temperature_c")}
     temperature = row.get("temperature_c")
     known = temperature is not None and str(temperature).strip() not in ("", "nan")
     return Drive(
-        **texts,
-        **optional,
-        frames=frames,
+        **{**texts, "frames": texts["frames"] or "all"},
         time=parse_time(row.get("time"), where),
-        temperature_c=_number(temperature, "temperature_c", where) if known else None,
+        temperature_c=_temperature(temperature, where) if known else None,
     )
 
 
 def _text(row: Mapping[str, Any], name: str, where: str) -> str:
     text = str(row.get(name) if row.get(name) is not None else "").strip()
-    if not text or len(text) > _MAX_TEXT or not text.isprintable():
-        expected = f"a text of 1 to {_MAX_TEXT} printable characters"
+    longest = _MAX_FOLDER if name == "vehicle" else MAX_TEXT
+    size = len(quote(text, safe="")) if name == "vehicle" else len(text)
+    if (not text and name in REQUIRED) or size > longest or printable(text) != text:
+        expected = f"a text of 1 to {longest} printable characters"
         raise InputError(f"{name} is not valid", where=where, expected=expected, got=text[:80] or "nothing")
     return text
 
 
-def _number(value: Any, name: str, where: str) -> float:
+def _temperature(value: Any, where: str) -> float:
     try:
         number = float(value)
     except (TypeError, ValueError):
         number = math.nan
-    if not math.isfinite(number):
-        raise InputError(f"{name} is not valid", where=where, expected="a number", got=value)
+    if not TEMPERATURES[0] <= number <= TEMPERATURES[1]:
+        expected = "a number from {:g} to {:g}".format(*TEMPERATURES)
+        raise InputError("temperature_c is not valid", where=where, expected=expected, got=value)
     return number
 
 
@@ -168,23 +176,23 @@ def parse_time(value: Any, where: str) -> float:
 
     Raises InputError for other values.
     """
-    moment = value
+    moment = value.strip() if isinstance(value, str) else value
     try:
-        if isinstance(value, str):
-            moment = (
-                float(value) if re.fullmatch(r"\d+(\.\d+)?", value.strip()) else datetime.fromisoformat(value.strip())
-            )
+        if isinstance(moment, str):
+            moment = float(moment) if re.fullmatch(r"\d+(\.\d+)?", moment) else datetime.fromisoformat(moment)
         if isinstance(moment, datetime):
             moment = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
         seconds = float(moment)
-        datetime.fromtimestamp(seconds, UTC)
+        day_of(seconds)
+        if seconds < 0:
+            raise ValueError("a time before 1970")
     except (TypeError, ValueError, OverflowError, OSError) as problem:
         expected = "ISO 8601, such as 2026-11-24T10:30:00Z, or seconds since 1970"
         raise InputError("time is not valid", where=where, expected=expected, got=value) from problem
     return seconds
 
 
-def _of_folder(root: Path) -> Iterator[Drive]:
+def _folder_rows(root: Path) -> _Rows:
     """Yield the drives of ROOT/VEHICLE/TIME (folders of frames) and ROOT/VEHICLE/TIME.bag, .mcap or .db3.
 
     TIME begins as 2026-11-24T10-30-00 (UTC). ROOT/VEHICLE/vehicle.yaml may give vehicle_type, camera, lidar, extrinsic
@@ -207,4 +215,4 @@ def _of_folder(root: Path) -> Iterator[Drive]:
                 continue
             time = f"{match[1]}T{match[2]}:{match[3]}:{match[4]}"
             reader = "ros" if path.suffix.lower() in _BAGS or (path / "metadata.yaml").exists() else "folder"
-            yield _drive({**words, "vehicle": folder.name, "data": f"{reader}:{path}", "time": time}, str(path))
+            yield {**words, "vehicle": folder.name, "data": f"{reader}:{path}", "time": time}, str(path)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from itertools import pairwise
 from typing import Any
@@ -17,10 +18,10 @@ from p2o.errors import InputError, P2OError
 from p2o.geometry.perturb import parse_accuracy
 from p2o_study.parallel import Workers
 
+from p2o_fleet.checks import Checks
 from p2o_fleet.evidence import Verdict
 from p2o_fleet.noise import PairNoise, Samples, estimate_noise, sampled
-from p2o_fleet.schema import Checks
-from p2o_fleet.segments import Pair, Segment, segments_of
+from p2o_fleet.segments import Extrinsic, Pair, Segment, segments_of
 from p2o_fleet.statistics import (
     MeanError,
     NoiseModel,
@@ -44,6 +45,10 @@ _LEAST_PART = 4.0
 """Smallest decrease of chi-square by an axis that explains an error, as in a check."""
 _MIN_VEHICLES = 5
 """Minimum number of vehicles of one type for a systematic error."""
+_SIGNIFICANT, _MIN_AFTER = 3.8, 2
+"""Significant changes in deviations (99.9 % over six axes), and the minimum number of estimates after a change."""
+_DAY_S = 86400.0
+"""Tolerance of the clocks of vehicles."""
 _HISTORY = 240
 """Maximum number of checks in the history of an extrinsic."""
 
@@ -74,19 +79,16 @@ class FleetRules:
 
     def __post_init__(self) -> None:
         if not 0 < self.rate < 1:
-            raise InputError(
-                "the false discovery rate is out of bounds", expected="a share between 0 and 1", got=self.rate
-            )
+            expected = "a share between 0 and 1"
+            raise InputError("the false discovery rate is out of bounds", expected=expected, got=self.rate)
         for name in ("tolerance", "type_tolerance", "notice"):
-            if min(sizes := _sizes(getattr(self, name), f"--{name.replace('_', '-')}")) <= 0:
-                raise InputError(
-                    f"{name} is out of bounds", expected="more than zero, such as 0.1deg 2cm", got=sizes[0]
-                )
+            if (least := self.sizes(name).min()) <= 0:
+                raise InputError(f"{name} is out of bounds", expected="more than zero, such as 0.1deg 2cm", got=least)
 
-
-def _sizes(text: str, where: str) -> tuple[float, ...]:
-    size = parse_accuracy(text, where)
-    return (size.angle_deg,) * 3 + (size.distance_m,) * 3
+    def sizes(self, name: str) -> Float:
+        """Return a size of the rules by axis (6,), in deg and m."""
+        size = parse_accuracy(getattr(self, name), f"--{name.replace('_', '-')}")
+        return np.repeat([size.angle_deg, size.distance_m], 3)
 
 
 @dataclass(frozen=True)
@@ -140,18 +142,10 @@ class History:
     log_e: Float
 
 
-@dataclass(frozen=True, eq=False)
-class ExtrinsicState:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ExtrinsicState(Extrinsic):
     """The state of one extrinsic of one vehicle, between two services, over all its checks."""
 
-    vehicle: str
-    vehicle_type: str
-    camera: str
-    lidar: str
-    extrinsic: str
-    digest: str
-    service: str
-    current: bool
     first: float
     last: float
     checks: int
@@ -164,11 +158,6 @@ class ExtrinsicState:
     mean: MeanError | None
     alarm: Alarm | None
     history: History
-
-    @property
-    def pair(self) -> Pair:
-        """Return vehicle type, camera and LiDAR."""
-        return self.vehicle_type, self.camera, self.lidar
 
     @property
     def total_log_e(self) -> float:
@@ -208,7 +197,11 @@ class TypeState:
 
 @dataclass(frozen=True, eq=False)
 class FleetState:
-    """The state of a fleet: all extrinsics, types, and changes at services."""
+    """The state of a fleet: all extrinsics, types, and changes at services.
+
+    `checks` is the number of all checks, `until` the time of the last one. `remarks` are checks, files and lines that
+    were set aside, with the reason.
+    """
 
     rules: FleetRules
     extrinsics: tuple[ExtrinsicState, ...]
@@ -216,6 +209,7 @@ class FleetState:
     services: tuple[ServiceChange, ...]
     checks: int
     until: float
+    remarks: tuple[str, ...] = ()
 
     @property
     def alarms(self) -> tuple[ExtrinsicState, ...]:
@@ -225,27 +219,36 @@ class FleetState:
 
     @property
     def current(self) -> tuple[ExtrinsicState, ...]:
-        """Return the extrinsics in use: the last one of each vehicle and pair of sensors."""
+        """Return the extrinsics in use: that of each vehicle and pair of sensors with an alarm, or else the last."""
         return tuple(state for state in self.extrinsics if state.current)
 
 
-def fleet_state(store: Store, rules: FleetRules | None = None, workers: Workers | None = None) -> FleetState:
-    """Compute the state of a fleet from its stored evidence; each worker has one vehicle at a time in memory."""
-    rules = rules or FleetRules()
+def fleet_state(
+    store: Store, rules: FleetRules | None = None, workers: Workers | None = None, now: float | None = None
+) -> FleetState:
+    """Compute the state of a fleet from its stored evidence; each worker has one vehicle at a time in memory.
+
+    Times after `now` (s since 1970; default: a day from now) are errors of a clock. Raises InputError if nothing of the
+    store can be read.
+    """
+    rules, now = rules or FleetRules(), time.time() + _DAY_S if now is None else now
     names = store.vehicles()
-    jobs = [_VehiclesJob(store, names[n : n + _PER_JOB], rules) for n in range(0, len(names), _PER_JOB)]
+    jobs = [_VehiclesJob(store, names[n : n + _PER_JOB], rules, now) for n in range(0, len(names), _PER_JOB)]
     with (workers or Workers()).start() as run:
         with contextlib.closing(run(_sampled, jobs, _lost)) as samples:
-            noise = estimate_noise(samples, _sizes(rules.tolerance, "--tolerance"), trends=rules.trends)
+            noise = estimate_noise(samples, tuple(rules.sizes("tolerance").tolist()), trends=rules.trends)
         jobs = [replace(job, noise=noise) for job in jobs]
         with contextlib.closing(run(_evaluated, jobs, _lost)) as results:
-            states = sorted((one for own in results for one in own), key=lambda one: one.vehicle)
-    states = _with_alarms(states, rules)
+            every = sorted((one for own in results for one in own), key=lambda one: one[0])
+    remarks = tuple(dict.fromkeys(text for _, _, texts in every for text in texts))
+    states = _in_use(_with_alarms([state for _, own, _ in every for state in own], rules))
+    if remarks and not states:
+        raise InputError("no evidence of the store can be read", where=store.root, got=remarks[0])
     until = max((state.last for state in states), default=0.0)
     types = _types(states, noise, rules)
     states = [_attributed(state, types) for state in states]
     services = tuple(_service_changes(states))
-    return FleetState(rules, tuple(states), types, services, sum(state.checks for state in states), until)
+    return FleetState(rules, tuple(states), types, services, sum(state.checks for state in states), until, remarks)
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,17 +258,28 @@ class _VehiclesJob:
     store: Store
     vehicles: Sequence[str]
     rules: FleetRules
+    now: float
     noise: Mapping[Pair, PairNoise] = field(default_factory=dict)
 
 
-def _sampled(job: _VehiclesJob) -> dict[Pair, Samples]:
-    return sampled(job.store, job.vehicles)
+def _sampled(job: _VehiclesJob) -> Samples:
+    return sampled(job.store, job.vehicles, job.now)
 
 
-def _evaluated(job: _VehiclesJob) -> list[ExtrinsicState]:
-    """Return the states of the vehicles, each with the alarm that it has if its evidence is a discovery."""
-    checks = job.store.checks(job.vehicles)
-    return [_state(one, job.noise.get(one.pair), job.rules) for own in checks for one in segments_of(own)]
+def _evaluated(job: _VehiclesJob) -> list[tuple[str, list[ExtrinsicState], list[str]]]:
+    """Return states of each vehicle, each with the alarm that it has if its evidence is a discovery, and remarks."""
+    out = []
+    for checks in job.store.checks(job.vehicles):
+        segments = list(segments_of(checks, job.now))
+        remarks = list(checks.damaged)
+        if future := int((checks.time > job.now).sum()):
+            remarks.append(f"{checks.vehicle}: {future} checks have times in the future")
+        if aside := len(checks) - sum(len(one.checks) for one in segments):
+            text = "have another extrinsic or service than those before: it counts from a second one on"
+            remarks.append(f"{checks.vehicle}: {aside} single checks {text}")
+        states = [_state(one, job.noise.get(one.pair), job.rules, job.now) for one in segments]
+        out.append((checks.vehicle, states, remarks))
+    return out
 
 
 def _lost(job: _VehiclesJob, problem: P2OError) -> Any:
@@ -273,11 +287,11 @@ def _lost(job: _VehiclesJob, problem: P2OError) -> Any:
     raise problem
 
 
-def _state(segment: Segment, noise: PairNoise | None, rules: FleetRules) -> ExtrinsicState:
+def _state(segment: Segment, noise: PairNoise | None, rules: FleetRules, now: float) -> ExtrinsicState:
     """Return the state of a segment before the false discovery rate of the fleet is known."""
     checks = segment.checks
     own = checks.take(np.flatnonzero(checks.usable))
-    noise = noise or PairNoise(NoiseModel(tolerance=_sizes(rules.tolerance, "--tolerance")))
+    noise = noise or PairNoise(NoiseModel(tolerance=tuple(rules.sizes("tolerance").tolist())))
     error, covariance = noise.without_trend(own), own.covariance * noise.model.inflation
     shown = np.unique(np.linspace(0, len(checks) - 1, min(len(checks), _HISTORY)).round().astype(int))
     known = np.cumsum(checks.usable)[shown]
@@ -285,16 +299,9 @@ def _state(segment: Segment, noise: PairNoise | None, rules: FleetRules) -> Extr
     logs[known > 0] = e_process(error, own.covariance, noise.model, known[known > 0] - 1)
     texts = checks.texts
     state = ExtrinsicState(
-        vehicle=checks.vehicle,
-        vehicle_type=segment.vehicle_type,
-        camera=segment.camera,
-        lidar=segment.lidar,
-        extrinsic=str(texts["extrinsic"][-1]),
-        digest=segment.digest,
-        service=segment.service,
-        current=segment.current,
+        **{one.name: getattr(segment, one.name) for one in fields(Extrinsic)},
         first=float(checks.time[0]),
-        last=float(checks.time[-1]),
+        last=float(checks.time[max(0, int((checks.time <= now).sum()) - 1)]),
         checks=len(checks),
         usable=len(own),
         unreadable=int((texts["verdict"] == Verdict.UNREADABLE.value).sum()),
@@ -333,23 +340,53 @@ def _history(checks: Checks, shown: Any, known: Any, error: Float, covariance: F
 def _with_alarms(candidates: Sequence[ExtrinsicState], rules: FleetRules) -> list[ExtrinsicState]:
     """Return the states with the alarms that the false discovery rate of the rules permits."""
     rejected = discoveries(np.array([one.total_log_e for one in candidates]), rules.rate)
-    notice = np.array(_sizes(rules.notice, "--notice"))
+    notice = rules.sizes("notice")
     states = []
     for state, alarmed in zip(candidates, rejected.tolist(), strict=True):
         if alarmed and state.alarm is not None:
             states.append(replace(state, reason=describe(state.alarm, state.status), mean=state.alarm.present))
             continue
+        unclear = [] if state.mean is None else np.flatnonzero(1.96 * state.mean.sigma > notice).tolist()
         status, reason = FleetStatus.HOLDS, f"no error beyond {rules.tolerance} in {state.usable} checks"
-        if state.reason:
-            status, reason = FleetStatus.CANNOT_TELL, state.reason
-        elif state.mean is not None and (unclear := 1.96 * state.mean.sigma > notice).any():
-            names = ", ".join(AXES[n][0] for n in np.flatnonzero(unclear))
-            status, reason = (
-                FleetStatus.CANNOT_TELL,
-                f"an error of {rules.notice} may stay undetected on {names}",
-            )
+        if state.reason or unclear:
+            names = ", ".join(AXES[axis][0] for axis in unclear)
+            status = FleetStatus.CANNOT_TELL
+            reason = state.reason or f"an error of {rules.notice} may stay undetected on {names}"
         states.append(replace(state, status=status, reason=reason, alarm=None))
     return states
+
+
+def _in_use(states: Sequence[ExtrinsicState]) -> list[ExtrinsicState]:
+    """Return the states with the extrinsic in use of each vehicle and pair of sensors marked as `current`.
+
+    It is the last one, unless an earlier one has an alarm that nothing after it has ended: a new name of an extrinsic
+    or service is no evidence that its error has gone.
+    """
+    groups: dict[tuple[str, str, str], list[int]] = {}
+    for number, one in enumerate(states):
+        groups.setdefault((one.vehicle, one.camera, one.lidar), []).append(number)
+    out = list(states)
+    for own in groups.values():
+        in_use = own[-1]
+        for at, number in enumerate(own):
+            alarm = states[number].alarm
+            if alarm is not None and not any(_ended(alarm, states[later]) for later in own[at + 1 :]):
+                in_use = number
+        for number in own:
+            out[number] = replace(states[number], current=number == in_use)
+    return out
+
+
+def _ended(alarm: Alarm, later: ExtrinsicState) -> bool:
+    """Return whether a later state has an alarm of its own, or the error of an axis of the alarm decreased (99.9 %)."""
+    if later.alarm is not None:
+        return True
+    if later.mean is None or later.usable < _MIN_AFTER:
+        return False
+    undone = alarm.present.error - later.mean.error
+    significant = _SIGNIFICANT * np.sqrt(later.mean.sigma**2 + alarm.present.sigma**2)
+    at = {name: number for number, (name, _) in enumerate(AXES)}
+    return any(np.sign(one.size) * undone[at[one.axis]] > significant[at[one.axis]] for one in alarm.axes)
 
 
 def _alarm(
@@ -391,7 +428,7 @@ def _alarm(
 def _explained(axis: int, change: Float, covariance: Float, rules: FleetRules) -> list[tuple[AxisError, ...]]:
     """Return the explanations of a change (6,) by the fewest axes; the first one contains `axis` if any does."""
     # Errors within a quarter of the tolerance are systematic errors of the edges: they need no explanation by an axis.
-    wide = covariance + np.diag((np.array(_sizes(rules.tolerance, "--tolerance")) / 4) ** 2)
+    wide = covariance + np.diag((rules.sizes("tolerance") / 4) ** 2)
     weight, sigma = np.linalg.inv(wide), np.sqrt(np.diag(covariance))
     if ((weight @ change) ** 2 / np.diag(weight) < _LEAST_PART).all():
         return [_axis_errors([axis], [change[axis]], sigma)]
@@ -430,7 +467,7 @@ def _types(
     for state in states:
         if state.current and state.mean is not None:
             groups.setdefault(state.pair, []).append(state)
-    tolerance = np.array(_sizes(rules.type_tolerance, "--type-tolerance"))
+    tolerance = rules.sizes("type_tolerance")
     tests: dict[Pair, Systematic] = {}
     for pair, group in groups.items():
         if len(group) >= _MIN_VEHICLES:
@@ -441,11 +478,7 @@ def _types(
     types = []
     for pair, group in sorted(groups.items()):
         test, own = tests.get(pair), noise.get(pair)
-        errors = (
-            ()
-            if test is None
-            else tuple(AxisError(*AXES[n], float(test.error[n]), *test.interval(n)) for n in range(len(AXES)))
-        )
+        errors = () if test is None else _axis_errors(range(len(AXES)), test.error, test.sigma)
         types.append(
             TypeState(
                 *pair,
@@ -483,7 +516,7 @@ def _service_changes(states: Sequence[ExtrinsicState]) -> Iterator[ServiceChange
             continue
         change = after.mean.error - before.mean.error
         sigma = np.sqrt(after.mean.sigma**2 + before.mean.sigma**2)
-        axes = np.flatnonzero(np.abs(change) > 3.8 * sigma)
+        axes = np.flatnonzero(np.abs(change) > _SIGNIFICANT * sigma)
         if len(axes):
             errors = _axis_errors(axes.tolist(), change[axes], sigma)
             yield ServiceChange(after.vehicle, after.camera, after.lidar, after.service, after.first, errors)

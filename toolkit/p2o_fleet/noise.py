@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from p2o.arrays import Float
 from p2o.confidence.audit import AXES
 from p2o.frames.selection import spread
 
-from p2o_fleet.schema import Checks
+from p2o_fleet.checks import Checks
 from p2o_fleet.segments import Pair, segments_of
 from p2o_fleet.statistics import NoiseModel, Trend, local_deviations, noise_scale, trend
 from p2o_fleet.store import Store
 
 COVARIATES = ("degree Celsius", "sine of the time of day", "cosine of the time of day")
-_SAMPLED, _MAX_PARTS = 120, 4
-"""Number of checks of a vehicle, and of files, from which noise and trends are estimated."""
+_SAMPLED = 120
+"""Number of checks of an extrinsic from which noise and trends are estimated."""
 _MIN_VEHICLES = 5
 """Minimum number of vehicles for a trend: with fewer ones, a drift of one vehicle looks like a trend."""
 _DAY_S = 86400.0
@@ -47,47 +48,39 @@ class PairNoise:
             yield f"{AXES[axis][0]} {size:+.2g} +- {sigma:.2g} {AXES[axis][1]} per {COVARIATES[number]}"
 
 
-@dataclass(eq=False)
-class Samples:
-    """Sampled checks of the vehicles of a type: one array per vehicle and extrinsic."""
+class Sample(NamedTuple):
+    """Sampled checks (T) of one vehicle and extrinsic: local deviations, errors, their deviations, covariates."""
 
-    deviations: list[Float] = field(default_factory=list)
-    errors: list[Float] = field(default_factory=list)
-    sigmas: list[Float] = field(default_factory=list)
-    covariates: list[Float] = field(default_factory=list)
-
-    def extend(self, other: Samples) -> None:
-        """Add the samples of other vehicles of the same type."""
-        self.deviations += other.deviations
-        self.errors += other.errors
-        self.sigmas += other.sigmas
-        self.covariates += other.covariates
+    deviations: Float
+    error: Float
+    sigma: Float
+    covariates: Float
 
 
-def sampled(store: Store, vehicles: Sequence[str]) -> dict[Pair, Samples]:
+Samples = dict[Pair, list[Sample]]
+"""Sampled checks by type and pair of sensors."""
+
+
+def sampled(store: Store, vehicles: Sequence[str], now: float) -> Samples:
     """Return some checks of each vehicle, by type and pair of sensors."""
-    samples: dict[Pair, Samples] = {}
-    for checks in store.checks(vehicles, most_parts=_MAX_PARTS):
-        for segment in segments_of(checks):
+    samples: Samples = {}
+    for checks in store.checks(vehicles):
+        for segment in segments_of(checks, now):
             usable = np.flatnonzero(segment.checks.usable).tolist()
             own = segment.checks.take(np.array(spread(usable, _SAMPLED), np.int64))
             if len(own) > 1:
-                sample = samples.setdefault(segment.pair, Samples())
-                sample.deviations.append(local_deviations(own.error, own.covariance))
-                sample.errors.append(own.error)
-                sample.sigmas.append(np.sqrt(np.einsum("tii->ti", own.covariance)))
-                sample.covariates.append(covariates_of(own))
+                sigma = np.sqrt(np.einsum("tii->ti", own.covariance))
+                sample = Sample(local_deviations(own.error, own.covariance), own.error, sigma, covariates_of(own))
+                samples.setdefault(segment.pair, []).append(sample)
     return samples
 
 
-def estimate_noise(
-    samples: Iterable[Mapping[Pair, Samples]], tolerance: tuple[float, ...], *, trends: bool
-) -> dict[Pair, PairNoise]:
+def estimate_noise(samples: Iterable[Samples], tolerance: tuple[float, ...], *, trends: bool) -> dict[Pair, PairNoise]:
     """Estimate noise and trends of each type and pair of sensors from sampled checks of all vehicles."""
-    every: dict[Pair, Samples] = {}
+    every: Samples = {}
     for part in samples:
         for pair, own in part.items():
-            every.setdefault(pair, Samples()).extend(own)
+            every.setdefault(pair, []).extend(own)
     return {pair: _pair_noise(own, tolerance, trends=trends) for pair, own in every.items()}
 
 
@@ -97,18 +90,18 @@ def covariates_of(checks: Checks) -> Float:
     return np.column_stack([checks.temperature_c, np.sin(angle), np.cos(angle)])
 
 
-def _pair_noise(sample: Samples, tolerance: tuple[float, ...], *, trends: bool) -> PairNoise:
-    model = NoiseModel(noise_scale(sample.deviations), tolerance)
-    every = np.concatenate(sample.covariates)
+def _pair_noise(samples: Sequence[Sample], tolerance: tuple[float, ...], *, trends: bool) -> PairNoise:
+    model = NoiseModel(noise_scale([sample.deviations for sample in samples]), tolerance)
+    every = np.concatenate([sample.covariates for sample in samples])
     known = np.isfinite(every).mean(axis=0) > 0.5
     columns = [
         number for number in np.flatnonzero(known) if np.nanmax(every[:, number]) - np.nanmin(every[:, number]) > 0.2
     ]
-    if not trends or not columns or len(sample.errors) < _MIN_VEHICLES:
+    if not trends or not columns or len(samples) < _MIN_VEHICLES:
         return PairNoise(model)
     parts = [
         (error[rows], sigma[rows] * np.array(model.scale), values[rows][:, columns])
-        for error, sigma, values in zip(sample.errors, sample.sigmas, sample.covariates, strict=True)
+        for _, error, sigma, values in samples
         if (rows := np.isfinite(values[:, columns]).all(axis=1)).sum() > 1
     ]
     errors, sigmas, covariates = ([part[n] for part in parts] for n in range(3))

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from p2o.files.parsed_text import parse_json
 from p2o.files.whole_file import json_text, make_writable, write_errors, write_whole
 
 from p2o_fleet.fleet_state import ExtrinsicState, FleetState, FleetStatus, TypeState, amount
+from p2o_fleet.segments import Extrinsic
 
 STATE, METRICS, WEBHOOK, PROPOSALS = "fleet.json", "fleet.prom", "webhook.json", "proposals"
 _STRENGTH = 300.0
@@ -72,6 +72,7 @@ def state_dict(state: FleetState) -> dict[str, Any]:
         "types": [_type_dict(one) for one in state.types],
         "services": [{**asdict(one), "time": iso(one.time)} for one in state.services],
         "extrinsics": [extrinsic_dict(one) for one in state.extrinsics],
+        "remarks": list(state.remarks),
     }
 
 
@@ -81,49 +82,33 @@ def status_counts(state: FleetState) -> dict[str, int]:
     return {status.value: counts[status] for status in FleetStatus}
 
 
-def _identity(state: ExtrinsicState) -> dict[str, str]:
-    names = ("vehicle", "vehicle_type", "camera", "lidar", "extrinsic", "digest", "service")
-    return {name: getattr(state, name) for name in names}
+def _identity(state: ExtrinsicState) -> dict[str, Any]:
+    return {one.name: getattr(state, one.name) for one in fields(Extrinsic) if one.name != "current"}
 
 
 def extrinsic_dict(state: ExtrinsicState) -> dict[str, Any]:
     """Return an extrinsic without its history."""
-    mean = state.mean
+    names = ("current", "status", "reason", "checks", "usable", "unreadable", "frames")
+    error, sigma = (None, None) if state.mean is None else (state.mean.error, state.mean.sigma)
     return {
         **_identity(state),
-        "current": state.current,
-        "status": state.status.value,
-        "reason": state.reason,
+        **{name: getattr(state, name) for name in names},
         "first": iso(state.first),
         "last": iso(state.last),
-        "checks": state.checks,
-        "usable": state.usable,
-        "unreadable": state.unreadable,
-        "frames": state.frames,
         "log_e": round(min(state.total_log_e, _STRENGTH), 3),
-        "error": None if mean is None else [round(float(value), 6) for value in mean.error],
-        "sigma": None if mean is None else [round(float(value), 6) for value in mean.sigma],
+        "error": None if error is None else error.round(6).tolist(),
+        "sigma": None if sigma is None else sigma.round(6).tolist(),
     }
 
 
 def _alarm_dict(state: ExtrinsicState) -> dict[str, Any]:
-    alarm = state.alarm
-    assert alarm is not None
-    return {
-        **_identity(state),
-        "status": state.status.value,
-        "text": state.reason,
-        "axes": [asdict(axis) for axis in alarm.axes],
-        "alternatives": [[asdict(axis) for axis in each] for each in alarm.alternatives],
-        "since": iso(alarm.since),
-        "since_interval": [iso(alarm.since_first), iso(alarm.since_last)],
-        "log_e": round(min(alarm.log_e, _STRENGTH), 3),
-        "checks": alarm.checks,
-        "frames": alarm.frames,
-        "systematic": alarm.systematic,
-        "proposal": alarm.proposal.tolist(),
-        "proof": list(alarm.proof),
-    }
+    assert state.alarm is not None
+    plain = asdict(state.alarm)
+    del plain["present"]
+    plain["since_interval"] = [iso(plain.pop("since_first")), iso(plain.pop("since_last"))]
+    plain |= {"since": iso(state.alarm.since), "log_e": round(min(state.alarm.log_e, _STRENGTH), 3)}
+    plain["proposal"] = state.alarm.proposal.tolist()
+    return {**_identity(state), "status": state.status, "text": state.reason, **plain}
 
 
 def _type_dict(state: TypeState) -> dict[str, Any]:
@@ -220,9 +205,7 @@ def summary_lines(state: FleetState, most: int = 20) -> Sequence[str]:
         )
     if len(state.alarms) > most:
         lines.append(f"  and {len(state.alarms) - most} further alarms")
+    lines += [f"  remark: {text}" for text in state.remarks[:most]]
+    if len(state.remarks) > most:
+        lines.append(f"  and {len(state.remarks) - most} further remarks")
     return lines
-
-
-def dumps(plain: Any) -> str:
-    """Return JSON in one line, for standard output."""
-    return json.dumps(plain, allow_nan=False, ensure_ascii=False)

@@ -4,26 +4,30 @@ from __future__ import annotations
 
 import contextlib
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 from p2o_study.parallel import Workers
 from p2o_study.worker import Plugins
 
 from p2o_fleet.drive import Drive
-from p2o_fleet.evidence import CheckEvidence
+from p2o_fleet.evidence import Evidence
 from p2o_fleet.store import Store, Writer
 from p2o_fleet.worker import CheckSettings, DriveJob, check_drive, unreadable
 
-OnCheck = Callable[["RunOutcome", CheckEvidence], None]
+OnCheck = Callable[["RunOutcome", Evidence], None]
 
 
 @dataclass
 class RunOutcome:
-    """Counts of a run: checks by verdict, `kept` ones that were stored before, and whether it was interrupted."""
+    """Counts of a run: checks by verdict, `kept` ones that were stored before, and whether it was interrupted.
+
+    `damaged` are files and lines of the store that were skipped.
+    """
 
     verdicts: Counter[str] = field(default_factory=Counter)
     kept: int = 0
+    damaged: Sequence[str] = ()
     seconds: float = 0.0
     interrupted: bool = False
 
@@ -58,6 +62,7 @@ def run_fleet(
                     on_check(outcome, evidence)
         except KeyboardInterrupt:
             outcome.interrupted = True
+        outcome.damaged = tuple(dict.fromkeys(writer.damaged))
     return outcome
 
 

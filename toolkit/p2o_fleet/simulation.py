@@ -5,29 +5,36 @@ from __future__ import annotations
 import hashlib
 import importlib.resources
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
 from typing import Any
-from urllib.parse import quote
 
 import numpy as np
 from p2o.arrays import Float, Int
 from p2o.confidence.audit import AXES
 from p2o.errors import InputError
 
-from p2o_fleet.drive import day_of
-from p2o_fleet.evidence import UPPER, Verdict
-from p2o_fleet.schema import COLUMNS, ERROR_COLUMNS, TEXTS, Checks, arrow_schema
-from p2o_fleet.store import MAX_DAYS, Store
+from p2o_fleet.checks import Checks
+from p2o_fleet.drive import Drive, day_of
+from p2o_fleet.evidence import UPPER, Evidence, Verdict, estimate_columns, table_of
+from p2o_fleet.store import Store
 
 BANK = "noise.json"
 _DAY_S = 86400.0
-_BEGIN = 1767225600.0
-"""Time of the first check of a simulated fleet: 2026-01-01, in s since 1970."""
-_POSE = np.array([[0.0, -1, 0, 0], [0, 0, -1, -0.1], [1, 0, 0, -0.3], [0, 0, 0, 1]])
+_BEGIN = 1577836800.0
+"""Time of the first check of a simulated fleet: 2020-01-01, in s since 1970, so that none is in the future."""
+_POSE = (0.0, -1.0, 0.0, 0.0, 0.0, 0.0, -1.0, -0.1, 1.0, 0.0, 0.0, -0.3)
 """True extrinsic of all simulated vehicles: a camera that looks forward."""
+_REASONS = {
+    Verdict.CANNOT_TELL: "too few pairs of edges are within reach",
+    Verdict.UNREADABLE: "the log cannot be read",
+}
+
+
+_OFFSET = np.repeat([0.05, 0.01], 3)
+"""Standard deviations, in deg and m, of the constant errors of vehicles, which are at most three of them."""
 
 
 class Fault(StrEnum):
@@ -59,44 +66,12 @@ class NoiseBank:
     def shipped(cls) -> NoiseBank:
         """Return the evidence that p2o contains (docs/how-to/fleet.md states how it was measured)."""
         text = importlib.resources.files("p2o_fleet").joinpath(BANK).read_text(encoding="utf-8")
-        return cls.of_rows(json.loads(text)["checks"])
-
-    @classmethod
-    def of_store(cls, store: Store, vehicles: Sequence[str] | None = None) -> NoiseBank:
-        """Return the usable evidence of some vehicles of a store, or of all, by vehicle type."""
-        rows: list[dict[str, Any]] = []
-        for checks in store.checks(vehicles):
-            own = checks.take(np.flatnonzero(checks.usable))
-            for at in range(len(own)):
-                upper = own.covariance[at][UPPER]
-                row = {"rig": str(own.texts["vehicle_type"][at]), "frames": int(own.frame_count[at])}
-                rows.append({**row, "error": own.error[at].tolist(), "covariance": upper.tolist()})
-        return cls.of_rows(rows)
-
-    @classmethod
-    def of_rows(cls, rows: Sequence[Mapping[str, Any]]) -> NoiseBank:
-        """Return the bank of rows with rig, frames, error (6) and the upper triangle (21) of the covariance."""
+        rows = json.loads(text)["checks"]
         covariance = np.empty((len(rows), len(AXES), len(AXES)))
         upper = np.array([row["covariance"] for row in rows])
         covariance[:, UPPER[0], UPPER[1]] = covariance[:, UPPER[1], UPPER[0]] = upper
-        rigs = tuple(str(row["rig"]) for row in rows)
-        return cls(
-            rigs, np.array([row["error"] for row in rows]), covariance, np.array([row["frames"] for row in rows])
-        )
-
-    def rows(self) -> list[dict[str, Any]]:
-        """Return the rows of `of_rows`, rounded to six significant digits."""
-        return [
-            {
-                "rig": rig,
-                "frames": int(frames),
-                "error": [float(f"{value:.6g}") for value in error],
-                "covariance": [float(f"{value:.6g}") for value in covariance[UPPER]],
-            }
-            for rig, frames, error, covariance in zip(
-                self.rigs, self.frame_count, self.error, self.covariance, strict=True
-            )
-        ]
+        error, frames = np.array([row["error"] for row in rows]), np.array([row["frames"] for row in rows])
+        return cls(tuple(row["rig"] for row in rows), error, covariance, frames)
 
     @cached_property
     def groups(self) -> dict[str, Int]:
@@ -118,11 +93,9 @@ class NoiseBank:
 class Scenario:
     """A simulated fleet: `checks` per vehicle, `per_day` of them a day, and the share of vehicles with each fault.
 
-    `rigs` are rigs of the bank whose noise is used; vehicle n has the rig n mod len(rigs), which is its type. Constant
-    errors of vehicles are normal with the standard deviations `offset_deg` and `offset_m`, and at most three of them.
-    Slips and drifts are `slip_deg` or `slip_m` on one axis. `wrong_cad_deg` is the error of all vehicles of the first
-    type about yaw.
-    `pitch_deg_per_c` is a drift with temperature.
+    `rigs` are rigs of the bank whose noise is used; vehicle n has the rig n mod len(rigs), which is its type. Slips and
+    drifts are `slip_deg` or `slip_m` on one axis. `wrong_cad_deg` is the error of all vehicles of the first type about
+    yaw.
     """
 
     vehicles: int = 1000
@@ -132,20 +105,20 @@ class Scenario:
     shares: Mapping[Fault, float] = field(default_factory=dict)
     slip_deg: float = 0.5
     slip_m: float = 0.05
-    offset_deg: float = 0.05
-    offset_m: float = 0.01
     wrong_cad_deg: float = 0.0
-    pitch_deg_per_c: float = 0.0
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.vehicles < 1 or self.checks < 1 or sum(self.shares.values()) > 1 + 1e-9:
+        if not (self.vehicles >= 1 and self.checks >= 1 and sum(self.shares.values()) <= 1 + 1e-9):
             raise InputError("the fleet cannot be simulated", expected="vehicles, checks, and shares of at most 1")
 
 
 @dataclass(frozen=True, eq=False)
 class SimulatedVehicle:
-    """A vehicle with its fault: axis, size (deg or m) and the number of the first check with it; and its checks."""
+    """A vehicle with its fault: axis, size (deg or m) and the number of the first check with it; and its checks.
+
+    `table` is the Arrow table of the checks, as in a store.
+    """
 
     name: str
     fault: Fault
@@ -153,6 +126,7 @@ class SimulatedVehicle:
     size: float
     begin: int
     checks: Checks
+    table: Any
 
 
 def simulated_fleet(scenario: Scenario, bank: NoiseBank) -> Iterator[SimulatedVehicle]:
@@ -176,19 +150,41 @@ def _vehicle(scenario: Scenario, bank: NoiseBank, number: int) -> SimulatedVehic
     begin = int(rng.integers(count // 5, max(count // 5 + 1, count * 3 // 5)))
     rows = bank.groups[rig][rng.integers(len(bank.groups[rig]), size=count)]
     error, covariance = bank.centred[rows].copy(), bank.covariance[rows].copy()
-    error += np.clip(rng.normal(size=6), -3, 3) * np.repeat([scenario.offset_deg, scenario.offset_m], 3)
+    error += np.clip(rng.normal(size=6), -3, 3) * _OFFSET
     time = np.asarray(_BEGIN + np.arange(count) * _DAY_S / scenario.per_day, np.float64)
     temperature = 12 - 12 * np.cos(2 * np.pi * (time - _BEGIN) / (365 * _DAY_S)) + rng.normal(size=count) * 3
-    error[:, 1] += scenario.pitch_deg_per_c * (temperature - 12)
     if number % len(scenario.rigs) == 0:
         error[:, 2] += scenario.wrong_cad_deg
-    verdict = np.full(count, Verdict.HOLDS.value, dtype=object)
+    verdict = np.full(count, Verdict.HOLDS, dtype=object)
     _inject(fault, error, covariance, verdict, axis, size, begin, rng)
-    known = verdict == Verdict.HOLDS.value
-    error[~known], covariance[~known] = np.nan, np.nan
-    name, frames = f"vehicle-{number:05d}", bank.frame_count[rows]
-    checks = _checks(name, rig, time, np.asarray(temperature, np.float64), error, covariance, verdict, frames)
-    return SimulatedVehicle(checks.vehicle, fault, axis, size, begin, checks)
+    known = verdict == Verdict.HOLDS
+    name = f"vehicle-{number:05d}"
+    columns = zip(known, error, covariance, strict=True)
+    estimates = [estimate_columns(*estimate) if usable else {} for usable, *estimate in columns]
+    keys = [f"{name}-{at:06d}" for at in range(count)]
+    digest = hashlib.sha256(name.encode()).hexdigest()[:32]
+    drives = [
+        Drive(name, "front", "top", key, "extrinsic.yaml", moment, rig, temperature_c=degrees)
+        for key, moment, degrees in zip(keys, time.tolist(), temperature.tolist(), strict=True)
+    ]
+    table = table_of(
+        Evidence.of(
+            *(drive, drive.data, outcome, _REASONS.get(outcome, "")),
+            **estimate,
+            camera_from_lidar=_POSE,
+            odds_ratio=10.0 if estimate else None,
+            cells=200,
+            frame_count=frames,
+            log="" if outcome is Verdict.UNREADABLE else drive.data,
+            extrinsic_digest=digest,
+            seconds=6.0,
+            version="simulated",
+        ).row()
+        for drive, outcome, estimate, frames in zip(
+            drives, verdict, estimates, bank.frame_count[rows].tolist(), strict=True
+        )
+    )
+    return SimulatedVehicle(name, fault, axis, size, begin, Checks.of(table, name), table)
 
 
 def _inject(
@@ -201,86 +197,31 @@ def _inject(
     elif fault is Fault.DRIFT:
         error[:, axis] += size * np.linspace(0, 1, count)
     elif fault is Fault.SWAPPED:
-        verdict[:] = Verdict.CANNOT_TELL.value
+        verdict[:] = Verdict.CANNOT_TELL
     elif fault is Fault.DIRTY:
-        verdict[begin:][rng.random(count - begin) < 0.7] = Verdict.CANNOT_TELL.value
+        verdict[begin:][rng.random(count - begin) < 0.7] = Verdict.CANNOT_TELL
         covariance[begin:] *= 4
         error[begin:] += rng.normal(size=(count - begin, 6)) * np.sqrt(np.einsum("tii->ti", covariance[begin:])) * 0.8
     elif fault is Fault.BROKEN:
-        verdict[rng.random(count) < 0.3] = Verdict.UNREADABLE.value
+        verdict[rng.random(count) < 0.3] = Verdict.UNREADABLE
     elif fault is Fault.CLOCK:
         # Image and sweep of different moments: the error follows the yaw rate and the speed of each drive.
         error[:, 2] += rng.normal(size=count) * 0.1
         error[:, 3] += rng.normal(size=count) * 0.01
 
 
-def _checks(
-    vehicle: str, rig: str, time: Float, temperature: Float, error: Float, covariance: Float, verdict: Any, frames: Any
-) -> Checks:
-    count = len(time)
-    reasons = {Verdict.HOLDS.value: "", Verdict.CANNOT_TELL.value: "too few pairs of edges are within reach"}
-    texts = {name: np.full(count, "", dtype=object) for name in TEXTS}
-    texts |= {"camera": np.full(count, "front", dtype=object), "lidar": np.full(count, "top", dtype=object)}
-    texts["vehicle_type"] = np.full(count, rig, dtype=object)
-    texts["verdict"] = verdict
-    texts["reason"] = np.array([reasons.get(one, "the log cannot be read") for one in verdict], dtype=object)
-    texts["key"] = np.array([f"{vehicle}-{at:06d}" for at in range(count)], dtype=object)
-    texts["log"] = np.where(verdict == Verdict.UNREADABLE.value, "", texts["key"])
-    texts["data"] = texts["key"]
-    texts["extrinsic"] = np.full(count, "extrinsic.yaml", dtype=object)
-    texts["extrinsic_digest"] = np.full(count, hashlib.sha256(vehicle.encode()).hexdigest()[:32], dtype=object)
-    pose = np.broadcast_to(_POSE, (count, 4, 4))
-    return Checks(vehicle, time, texts, temperature, error, covariance, pose, frames)
-
-
 def write_fleet(vehicles: Iterator[SimulatedVehicle], store: Store) -> int:
-    """Write simulated vehicles to a store, with the files that daily runs leave; return the number of checks."""
+    """Write simulated vehicles to a store, a file for each month, as runs do; return the number of checks."""
     import pyarrow.parquet as pq
 
     total = 0
     for vehicle in vehicles:
-        table = _table(vehicle.checks)
-        days = np.array(_partitions([day_of(time) for time in vehicle.checks.time]))
-        starts = np.flatnonzero(np.concatenate([[True], days[1:] != days[:-1]]))
-        for begin, end in zip(starts, [*starts[1:], len(days)], strict=True):
-            folder = store.checks_folder / f"vehicle={quote(vehicle.name, safe='')}" / f"day={days[begin]}"
+        months = np.array([day_of(time)[:7] for time in vehicle.checks.time])
+        starts = np.flatnonzero(np.concatenate([[True], months[1:] != months[:-1]]))
+        for begin, end in zip(starts, [*starts[1:], len(months)], strict=True):
+            folder = store.folder(vehicle.name) / f"day={months[begin]}"
             folder.mkdir(parents=True, exist_ok=True)
-            pq.write_table(table.slice(begin, end - begin), folder / "part-simulated.parquet", compression="zstd")
-        total += len(days)
+            part = vehicle.table.slice(begin, end - begin)
+            pq.write_table(part, folder / "part-simulated.parquet", compression="zstd")
+        total += len(months)
     return total
-
-
-def _partitions(days: Sequence[str]) -> list[str]:
-    """Return the year of days before the last month, the month of days of this month, and the last days themselves."""
-    last, recent = days[-1][:7], set(sorted(set(days))[-MAX_DAYS:])
-    return [day if day in recent else last if day[:7] == last else day[:4] for day in days]
-
-
-def _table(checks: Checks) -> Any:
-    """Return the Arrow table of checks with the columns of the store."""
-    import pyarrow as pa
-
-    count, usable = len(checks), checks.usable
-    columns: dict[str, Any] = {name: pa.array(checks.texts[name], pa.string()) for name in TEXTS}
-    columns["vehicle"] = pa.array([checks.vehicle] * count)
-    columns["time"] = pa.array((checks.time * 1e6).astype(np.int64)).cast(pa.timestamp("us", "UTC"))
-    columns |= {"temperature_c": pa.array(checks.temperature_c), "frame_count": pa.array(checks.frame_count)}
-    for number, name in enumerate(ERROR_COLUMNS):
-        columns[name] = pa.array(checks.error[:, number], mask=~usable)
-    upper = checks.covariance[:, UPPER[0], UPPER[1]]
-    columns["covariance"] = _list_array(upper, usable)
-    columns["camera_from_lidar"] = _list_array(checks.pose[:, :3].reshape(count, 12), np.ones(count, bool))
-    columns["odds_ratio"] = pa.array(np.full(count, 10.0), mask=~usable)
-    columns |= {"cells": pa.array(np.full(count, 200)), "seconds": pa.array(np.full(count, 6.0))}
-    columns |= {"frames": pa.array([[]] * count, pa.list_(pa.string())), "version": pa.array(["simulated"] * count)}
-    return pa.table({name: columns[name] for name in COLUMNS}, schema=arrow_schema())
-
-
-def _list_array(values: Float, known: Any) -> Any:
-    """Return an Arrow array of lists of rows (N, K); null where `known` (N,) is False."""
-    import pyarrow as pa
-
-    sizes = np.where(known, values.shape[1], 0)
-    offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32)
-    flat = pa.array(values[known].ravel())
-    return pa.ListArray.from_arrays(pa.array(offsets), flat, mask=pa.array(~known))

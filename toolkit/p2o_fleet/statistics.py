@@ -22,10 +22,7 @@ TYPE_SHIFTS = (0.5, 1.0, 2.0, 5.0)
 """Alternatives of the error of a type beyond the tolerance, in tolerances."""
 _SINCE_FIRST = 0.25
 """Prior probability of an error that exists since the first check; the rest is for an onset at a later one."""
-_Z_95 = 1.959964
 _NEIGHBOURS = 3
-_BLOCK = 32
-"""Rows of a block of a cumulative sum: with clipped bets, its exponentials stay within the range of numbers."""
 _MIN_DEVIATIONS = 30
 
 
@@ -44,34 +41,15 @@ def mixture_over_onsets(log_ratios: Float, at: Int | None = None) -> Float:
     """Return the log e-process (T, B) of bets with log likelihood ratios (T, B), mixed over the onset of the error.
 
     E_t = sum_k pi_k prod_(k <= i <= t) L_i + (1 - sum_(k <= t) pi_k): the bets begin at check k with probability pi_k.
-    With `at` (K,), only the values (K, B) after these checks are returned. The ratios are bounded as those of `bets`.
+    With `at` (K,), only the values (K, B) after these checks are returned.
     """
     at = np.arange(len(log_ratios)) if at is None else at
     prior = onset_prior(len(log_ratios))
     total = np.cumsum(log_ratios, axis=0)
     before = total - log_ratios
-    started = total[at] + _log_cumulative_sum(np.log(prior)[:, None] - before, at)
+    started = total[at] + np.logaddexp.accumulate(np.log(prior)[:, None] - before)[at]
     waiting = np.log1p(-np.minimum(np.cumsum(prior), 1 - 1e-12))
     return np.logaddexp(started, waiting[at, None])
-
-
-def _log_cumulative_sum(values: Float, at: Int) -> Float:
-    """Return the logarithm (K, B) of the sums of exp(values) (T, B) up to the rows `at` (K,).
-
-    Sums are computed in blocks of rows, whose exponentials are relative to their largest one: `logaddexp.accumulate`
-    takes ten times as long.
-    """
-    count, width = values.shape
-    blocks = -(-count // _BLOCK)
-    padded = np.full((blocks * _BLOCK, width), -np.inf)
-    padded[:count] = values
-    parts = padded.reshape(blocks, _BLOCK, width)
-    highest = parts.max(axis=1)
-    of_block = np.log(np.exp(parts - highest[:, None]).sum(axis=1)) + highest
-    earlier = np.concatenate([np.full((1, width), -np.inf), np.logaddexp.accumulate(of_block)[:-1]])
-    top = np.maximum(highest, earlier)
-    sums = np.cumsum(np.exp(parts - top[:, None]), axis=1) + np.exp(earlier - top)[:, None]
-    return np.asarray(np.log(sums.reshape(-1, width)[at]) + top[at // _BLOCK])
 
 
 def bets(standard: Float, tolerance: Float) -> Float:
@@ -219,11 +197,6 @@ class MeanError:
         """Return the standard deviations (6,)."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
-    def interval(self, axis: int) -> tuple[float, float]:
-        """Return the 95 % interval of an axis."""
-        half = _Z_95 * float(self.sigma[axis])
-        return float(self.error[axis]) - half, float(self.error[axis]) + half
-
 
 def mean_error(error: Float, covariance: Float) -> MeanError:
     """Return the mean of errors (T, 6) weighted by the inverse of their covariances (T, 6, 6).
@@ -283,18 +256,11 @@ def local_deviations(error: Float, covariance: Float) -> Float:
 
 @dataclass(frozen=True, eq=False)
 class Systematic:
-    """The mean error (6,) of the vehicles of one type, its deviations (6,), the spread (6,) between vehicles, log e."""
+    """The mean error (6,) of the vehicles of one type, its deviations (6,), and the log e-value (6,) of an error."""
 
     error: Float
     sigma: Float
-    spread: Float
     log_e: Float
-    vehicles: int
-
-    def interval(self, axis: int) -> tuple[float, float]:
-        """Return the 95 % interval of an axis."""
-        half = _Z_95 * float(self.sigma[axis])
-        return float(self.error[axis]) - half, float(self.error[axis]) + half
 
 
 def systematic(means: Float, sigmas: Float, tolerance: Float) -> Systematic:
@@ -316,7 +282,7 @@ def systematic(means: Float, sigmas: Float, tolerance: Float) -> Systematic:
             shift = factor * tolerance
             ratios.append((shift * (sign * clipped - tolerance) - shift**2 / 2) / wide**2)
     log_e = log_mean(np.sum(ratios, axis=1), axes=(0,))
-    return Systematic(error, 1 / np.sqrt(weight.sum(axis=0)), spread, log_e, len(means))
+    return Systematic(error, 1 / np.sqrt(weight.sum(axis=0)), log_e)
 
 
 def _between(means: Float, sigmas: Float, least: Float) -> Float:

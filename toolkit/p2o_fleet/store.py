@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import itertools
 import json
 import os
 import threading
 import uuid
 from collections import OrderedDict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -18,21 +17,22 @@ from typing import IO, Any
 from urllib.parse import quote, unquote
 
 from p2o.errors import InputError, P2OError
-from p2o.files.whole_file import write_errors
-from p2o.frames.selection import spread
+from p2o.files.input_file import expanded, read_bytes
+from p2o.files.parsed_text import parse_json
+from p2o.files.whole_file import sync_folder, write_errors, write_whole
 
+from p2o_fleet.checks import READ, Checks
 from p2o_fleet.drive import Drive, day_of
-from p2o_fleet.durable_file import sync_folder, write_durable
-from p2o_fleet.evidence import CheckEvidence, Verdict
-from p2o_fleet.schema import READ, Checks, checks_of, row_of, table_of
+from p2o_fleet.evidence import COLUMNS, Evidence, Verdict, table_of, with_schema
+from p2o_fleet.parquet_file import open_parquet
 
-_FOLD_ROWS = 2000
+_FOLD_ROWS = 5000
 """Number of rows after which a journal becomes Parquet files: it bounds the memory of a run."""
-MAX_DAYS = 4
-"""Number of files of single days of a vehicle after which its files are merged, so that a query opens few files."""
-_READ_ATTEMPTS = 10
+_ATTEMPTS = 10
 _MAX_PARTITIONS = 1024
 """Number of partitions whose keys are remembered."""
+_MAX_ROWS, _MAX_JOURNAL = 400_000, 256 << 20
+"""Maximum number of rows of a file, and of bytes of a journal."""
 
 Row = dict[str, Any]
 
@@ -42,10 +42,10 @@ class Store:
     """A folder with `checks/vehicle=V/day=D/part-*.parquet` and `journal/*.jsonl`.
 
     Finished checks are appended to a journal, one line each, and become Parquet files at the end of a run. `day` is the
-    day of the drive (2026-11-24), or once files are merged its month (2026-11), or its year (2026) for months before
-    the last one of the vehicle. Any number of processes may write; a check that two of them store is read once. Files
-    are never changed; a merge writes a file before it removes those that it contains: others may work meanwhile. A file
-    is on the disk, not only in its cache, before the journal or the files that it replaces are removed.
+    month of the drives (2026-11); stores of p2o 0.2 also have days and years. Any number of processes may write; a
+    check that two of them store is read once. Files are never changed, but replaced by a file with more checks. A file
+    is on the disk, not only in its cache, before the journal or the files that it replaces are removed. Files and lines
+    that no writer of p2o leaves are skipped and named (`Checks.damaged`); they stay where they are.
     """
 
     root: Path
@@ -63,7 +63,7 @@ class Store:
     @classmethod
     def existing(cls, root: Path | str) -> Store:
         """Return the store in a folder; raises InputError if there is none."""
-        store = cls(Path(root).expanduser())
+        store = cls(expanded(root))
         if not (store.checks_folder.is_dir() or store.journals.is_dir()):
             raise InputError("there is no store of a fleet", where=root, expected="a folder that `p2o fleet run` wrote")
         return store
@@ -71,126 +71,125 @@ class Store:
     def vehicles(self) -> list[str]:
         """Return the names of all vehicles, sorted."""
         names = {unquote(entry.name[8:]) for entry in _folders(self.checks_folder) if entry.name.startswith("vehicle=")}
-        return sorted(names | {row["vehicle"] for row in self._journalled()})
+        return sorted(names | {row["vehicle"] for row in self._journalled([])})
 
-    def checks(self, vehicles: Sequence[str] | None = None, most_parts: int | None = None) -> Iterator[Checks]:
-        """Yield the checks of each vehicle; the evidence of one vehicle at a time is in memory.
-
-        With `most_parts`, at most this number of files, spread over time, is read for each vehicle.
-        """
-        import pyarrow as pa
-
+    def checks(self, vehicles: Sequence[str] | None = None) -> Iterator[Checks]:
+        """Yield the checks of each vehicle; the evidence of one vehicle at a time is in memory."""
+        lost: list[str] = []
         journalled: dict[str, list[Row]] = {}
-        for row in self._journalled():
+        for row in self._journalled(lost):
             journalled.setdefault(row["vehicle"], []).append(row)
         for vehicle in self.vehicles() if vehicles is None else vehicles:
-            tables = self._tables(vehicle, most_parts)
+            damaged = list(lost)
+            parts = self._parts_read(vehicle, damaged)
             if vehicle in journalled:
-                tables.append(table_of(journalled[vehicle]).select(READ))
-            if tables:
-                yield checks_of(vehicle, pa.concat_tables(tables))
+                parts.append(Checks.of(table_of(journalled[vehicle])))
+            yield Checks.joined(vehicle, parts, damaged)
 
-    def _tables(self, vehicle: str, most: int | None) -> list[Any]:
+    def _parts_read(self, vehicle: str, damaged: list[str]) -> list[Checks]:
         paths = self.parts(vehicle)
-        for _ in range(_READ_ATTEMPTS):
-            listed, tables = paths, None
+        for _ in range(_ATTEMPTS):
+            listed, skipped, parts = paths, list[str](), list[Checks]()
             with contextlib.suppress(FileNotFoundError):
-                tables = [read_part(paths[at], READ) for at in spread(range(len(paths)), most or max(1, len(paths)))]
-            # A merge between two listings of folders could hide both the merged file and the files that it replaced.
+                parts = [part[1] for path in paths if (part := _read(path, vehicle, skipped)) is not None]
+                # A change between two listings of folders could hide both a new file and those that it replaced.
+                if (paths := self.parts(vehicle)) == listed:
+                    damaged.extend(skipped)
+                    return parts
             paths = self.parts(vehicle)
-            if tables is not None and paths == listed:
-                return tables
         raise P2OError("the store changes while it is read", where=self.root, hint="run the same command again")
 
     def parts(self, vehicle: str, day: str | None = None) -> list[Path]:
         """Return the Parquet files of a vehicle, with `day` those that may contain checks of this day."""
-        folder = self.checks_folder / f"vehicle={quote(vehicle, safe='')}"
         wanted = None if day is None else {f"day={day}", f"day={day[:7]}", f"day={day[:4]}"}
-        days = [entry.path for entry in _folders(folder) if wanted is None or entry.name in wanted]
+        days = [entry.path for entry in _folders(self.folder(vehicle)) if wanted is None or entry.name in wanted]
         return sorted(Path(entry.path) for one in days for entry in _entries(one) if entry.name.endswith(".parquet"))
+
+    def folder(self, vehicle: str) -> Path:
+        """Return the folder of a vehicle."""
+        return self.checks_folder / f"vehicle={quote(vehicle, safe='')}"
 
     def writer(self) -> Writer:
         """Return a writer; the journals of writers that were killed are stored first."""
+        writer = Writer(self)
         with write_errors("the store of the fleet", self.root):
             self.checks_folder.mkdir(parents=True, exist_ok=True)
             self.journals.mkdir(exist_ok=True)
             sync_folder(self.root)
-        for path in self.journals.glob("*.jsonl"):
+        for path in _journals(self.journals, writer.damaged):
             with contextlib.suppress(FileNotFoundError), path.open("rb") as journal:
                 if _lock(journal):  # its writer has ended
-                    self.add(_rows_of(path))
+                    damaged: list[str] = []
+                    self.add(_lines(path, 0, damaged)[0])
+                    if damaged:  # its lines are kept for a look at them
+                        path.rename(path.with_suffix(".damaged"))
                     path.unlink(missing_ok=True)
-        return Writer(self)
+                    writer.damaged += damaged
+        return writer
 
     def add(self, rows: Iterable[Row]) -> None:
-        """Write rows as Parquet files; the same rows again replace the same files."""
-        groups: dict[tuple[str, str], list[Row]] = {}
-        for row in rows:
-            groups.setdefault((row["vehicle"], day_of(row["time"])), []).append(row)
-        for (vehicle, day), group in groups.items():
-            self._write(vehicle, day, table_of(group), [row["key"] + row["verdict"] for row in group])
-        for vehicle in dict.fromkeys(vehicle for vehicle, _ in groups):
-            paths = self.parts(vehicle)
-            if sum(len(_days(path)) > len("2026-11") for path in paths) > MAX_DAYS:
-                # The rows are stored: a damaged file or a full disk only prevents that they are read faster.
-                with contextlib.suppress(InputError):
-                    self._merge(vehicle, paths)
+        """Write rows to the file of their vehicle and month; the same rows again change nothing.
 
-    def _write(self, vehicle: str, day: str, table: Any, keys: Sequence[str]) -> Path:
-        import pyarrow.parquet as pq
-
-        digest = hashlib.sha256("\n".join(sorted(keys)).encode()).hexdigest()[:24]
-        folder = self.checks_folder / f"vehicle={quote(vehicle, safe='')}" / f"day={day}"
-        content = BytesIO()
-        pq.write_table(table, content, compression="zstd", use_dictionary=True)
-        with write_errors("evidence", folder):
-            write_durable(folder / f"part-{digest}.parquet", content.getvalue(), self.checks_folder)
-        return folder / f"part-{digest}.parquet"
-
-    def compact(self) -> int:
-        """Merge the files of each vehicle; return the number of files that were written.
-
-        Writers do it for vehicles with many files. Readers and writers may work at the same time; a second compaction
-        or one that was killed does no harm.
+        Any number of processes may do it at the same time, and one that is killed does no harm: a file is written
+        before those that it contains are removed.
         """
-        return sum(self._merge(vehicle, self.parts(vehicle)) for vehicle in self.vehicles())
-
-    def _merge(self, vehicle: str, paths: Sequence[Path]) -> int:
-        """Merge the last month of a vehicle, and the months before by year; return the number of files written."""
         import pyarrow as pa
 
-        last, merged = max((_days(path)[:7] for path in paths), default=""), 0
-        groups: dict[str, list[Path]] = {}
-        for path in paths:
-            days = _days(path)
-            groups.setdefault(last if days[:7] == last else days[:4], []).append(path)
-        for days, own in groups.items():
-            if len(own) < 2:
-                continue
-            with contextlib.suppress(FileNotFoundError):  # another merge was faster
-                table = _rows_once(pa.concat_tables([read_part(path) for path in own]))
-                columns = (table[name].to_pylist() for name in ("key", "verdict"))
-                keys = [f"{key}{verdict}" for key, verdict in zip(*columns, strict=True)]
-                written = self._write(vehicle, days, table, keys)
-                for path in own:
-                    if path != written:
-                        path.unlink(missing_ok=True)
-                        with contextlib.suppress(OSError):  # not empty: a late log was added
-                            path.parent.rmdir()
-                merged += 1
-        return merged
+        groups: dict[tuple[str, str], list[Row]] = {}
+        for row in rows:
+            groups.setdefault((row["vehicle"], day_of(row["time"])[:7]), []).append(row)
+        for (vehicle, month), group in groups.items():
+            before = {}
+            for path in self.parts(vehicle):
+                with contextlib.suppress(FileNotFoundError):  # another process was faster
+                    if _days(path).startswith(month) and (part := _read(path, vehicle, [], COLUMNS)) is not None:
+                        before[path] = with_schema(part[0])
+            if len(group) + sum(map(len, before.values())) > _MAX_ROWS:
+                before = {}
+            written = self._write(vehicle, month, _rows_once(pa.concat_tables([table_of(group), *before.values()])))
+            for path in before:
+                if path != written:
+                    path.unlink(missing_ok=True)
+                    with contextlib.suppress(OSError):  # not empty: another process has written to it
+                        path.parent.rmdir()
 
-    def _journalled(self) -> Iterator[Row]:
-        for path in sorted(self.journals.glob("*.jsonl")) if self.journals.is_dir() else ():
+    def _write(self, vehicle: str, day: str, table: Any) -> Path:
+        """Write a file and the names of its folders to the disk; the name depends on its checks."""
+        import pyarrow.parquet as pq
+
+        keys = sorted(map("".join, zip(*(table[name].to_pylist() for name in ("key", "verdict")), strict=True)))
+        digest = hashlib.sha256("\n".join(keys).encode()).hexdigest()[:24]
+        path = self.folder(vehicle) / f"day={day}" / f"part-{digest}.parquet"
+        content = BytesIO()
+        pq.write_table(table, content, compression="zstd", use_dictionary=True)
+        with write_errors("evidence", path.parent):
+            for attempt in range(_ATTEMPTS):
+                path.parent.mkdir(parents=True, exist_ok=True)
+                try:
+                    write_whole(path, content.getvalue(), sync=True)
+                    break
+                except InputError:
+                    if path.parent.exists() or attempt == _ATTEMPTS - 1:  # else another process removed the folder
+                        raise
+            for folder in (path.parent, path.parent.parent, self.checks_folder):
+                sync_folder(folder)
+        return path
+
+    def _journalled(self, damaged: list[str]) -> Iterator[Row]:
+        for path in _journals(self.journals, damaged):
             with contextlib.suppress(FileNotFoundError):
-                yield from _rows_of(path)
+                yield from _lines(path, 0, damaged)[0]
 
 
 @dataclass(eq=False)
 class Writer:
-    """Appends evidence to the journal of this process, and knows which checks are finished."""
+    """Appends evidence to the journal of this process, and knows which checks are finished.
+
+    `damaged` are the files and lines of the store that were skipped.
+    """
 
     store: Store
+    damaged: list[str] = field(default_factory=list)
     _pending: list[Row] = field(default_factory=list)
     _own: dict[str, tuple[str, str]] = field(default_factory=dict)
     _partitions: OrderedDict[tuple[str, str], dict[str, tuple[str, str]]] = field(default_factory=OrderedDict)
@@ -208,51 +207,58 @@ class Writer:
     def finished(self, drive: Drive, key: str) -> bool:
         """Return whether this check is stored, by any writer; unreadable logs are not finished. Thread-safe."""
         with self._lock:
-            return self._stored(drive, key)[:1] not in ((), (Verdict.UNREADABLE.value,))
+            return self._stored(drive.vehicle, drive.day, key)[:1] not in ((), (Verdict.UNREADABLE.value,))
 
-    def _stored(self, drive: Drive, key: str) -> tuple[str, ...]:
+    def _stored(self, vehicle: str, day: str, key: str) -> tuple[str, ...]:
         """Return verdict and reason of a stored check, empty if there is none."""
         self._follow()
         if key in self._own:
             return self._own[key]
-        place = (drive.vehicle, drive.day)
+        place = (vehicle, day)
         if place not in self._partitions:
-            self._partitions[place] = _keys(self.store.parts(*place))
+            self._partitions[place] = self._keys(vehicle, day)
             if len(self._partitions) > _MAX_PARTITIONS:
                 self._partitions.popitem(last=False)
         return self._partitions[place].get(key, ())
 
+    def _keys(self, vehicle: str, day: str) -> dict[str, tuple[str, str]]:
+        """Return verdict and reason by key; a readable row of a key counts more than an unreadable one."""
+        outcomes: dict[str, tuple[str, str]] = {}
+        for path in self.store.parts(vehicle, day):
+            with contextlib.suppress(FileNotFoundError):
+                if (part := _read(path, vehicle, self.damaged)) is not None:
+                    names = ("key", "verdict", "reason")
+                    for key, *outcome in zip(*(part[1].texts[name].tolist() for name in names), strict=True):
+                        if outcomes.get(key, (Verdict.UNREADABLE.value,))[0] == Verdict.UNREADABLE.value:
+                            outcomes[key] = (outcome[0], outcome[1])
+        return outcomes
+
     def _follow(self) -> None:
         """Read what other writers have appended to their journals since the last call."""
-        for path in self.store.journals.glob("*.jsonl"):
-            if path == self._path:
-                continue
+        for path in _journals(self.store.journals, []):
             with contextlib.suppress(FileNotFoundError):
-                if path.stat().st_size > self._offsets.get(path, 0):
-                    rows, self._offsets[path] = _rows_from(path, self._offsets.get(path, 0))
+                if path != self._path and path.stat().st_size > self._offsets.get(path, 0):
+                    rows, self._offsets[path] = _lines(path, self._offsets.get(path, 0), self.damaged)
                     self._own |= {row["key"]: (row["verdict"], row["reason"]) for row in rows}
 
-    def put(self, evidence: CheckEvidence) -> bool:
+    def put(self, evidence: Evidence) -> bool:
         """Store evidence on the disk before returning; False if it is stored already. Thread-safe.
 
         Raises InputError if it cannot be written; what was stored before is kept.
         """
         with self._lock:
-            return self._put(evidence)
-
-    def _put(self, evidence: CheckEvidence) -> bool:
-        outcome = (evidence.verdict.value, evidence.reason)
-        stored = self._stored(evidence.drive, evidence.key)
-        if stored and (stored[0] != Verdict.UNREADABLE.value or stored == outcome):
-            return False
-        row = row_of(evidence)
-        with write_errors("evidence", self.store.journals, "free some space, then run the same command again"):
-            _append(self._open(), json.dumps(row, allow_nan=False).encode() + b"\n")
-        self._pending.append(row)
-        self._own[evidence.key] = outcome
-        if len(self._pending) >= _FOLD_ROWS:
-            self.fold()
-        return True
+            outcome = (evidence.verdict.value, evidence.reason)
+            stored = self._stored(evidence.vehicle, day_of(evidence.time), evidence.key)
+            if stored and (stored[0] != Verdict.UNREADABLE.value or stored == outcome):
+                return False
+            row = evidence.row()
+            with write_errors("evidence", self.store.journals, "free some space, then run the same command again"):
+                _append(self._open(), json.dumps(row, allow_nan=False).encode() + b"\n")
+            self._pending.append(row)
+            self._own[evidence.key] = outcome
+            if len(self._pending) >= _FOLD_ROWS:
+                self.fold()
+            return True
 
     def _open(self) -> IO[bytes]:
         if self._journal is None:
@@ -276,7 +282,7 @@ class Writer:
 
 
 def _days(path: Path) -> str:
-    """Return the day, month or year whose checks a file contains."""
+    """Return the month, day or year whose checks a file contains."""
     return path.parent.name.removeprefix("day=")
 
 
@@ -293,61 +299,78 @@ def _append(file: IO[bytes], line: bytes) -> None:
         raise
 
 
-def read_part(path: Path, columns: Sequence[str] | None = None) -> Any:
-    """Return the Arrow table of a file; raises InputError if it is damaged, FileNotFoundError if it was replaced."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
+def _read(path: Path, vehicle: str, damaged: list[str], names: Sequence[str] = READ) -> tuple[Any, Checks] | None:
+    """Return table and checks of a file; None, with the reason in `damaged`, if it is not a valid one of this vehicle.
 
+    Raises FileNotFoundError if another file has replaced it.
+    """
     try:
-        with pq.ParquetFile(path) as file:
-            return file.read(columns=None if columns is None else list(columns), use_threads=False)
-    except (pa.ArrowInvalid, pa.ArrowKeyError) as problem:
-        hint = "delete the file, then run `p2o fleet run` with the drives of this vehicle and day again"
-        raise InputError("the evidence cannot be read", where=path, got=problem, hint=hint) from problem
-
-
-def _keys(paths: Iterable[Path]) -> dict[str, tuple[str, str]]:
-    """Return verdict and reason by key; a readable row of a key counts more than an unreadable one."""
-    outcomes: dict[str, tuple[str, str]] = {}
-    for path in paths:
-        with contextlib.suppress(FileNotFoundError):
-            table = read_part(path, ("key", "verdict", "reason"))
-            for key, verdict, reason in zip(*(table[name].to_pylist() for name in table.column_names), strict=True):
-                if outcomes.get(key, (Verdict.UNREADABLE.value,))[0] == Verdict.UNREADABLE.value:
-                    outcomes[key] = verdict, reason
-    return outcomes
+        with open_parquet(path, "evidence", _MAX_ROWS) as file:
+            stored = set(file.schema_arrow.names)
+            table = file.read([name for name in names if name in stored], use_threads=False)
+            return table, Checks.of(table, vehicle)
+    except InputError as problem:
+        if isinstance(problem.__cause__, FileNotFoundError):
+            raise problem.__cause__ from problem
+        damaged.append(str(problem))
+        return None
 
 
 def _rows_once(table: Any) -> Any:
     """Return the rows of a table without those that repeat a key with the same verdict and reason."""
-    seen, rows = set[tuple[str, ...]](), list[int]()
     names = ("key", "verdict", "reason")
-    for number, identity in enumerate(zip(*(table[name].to_pylist() for name in names), strict=True)):
-        if identity not in seen:
-            seen.add(identity)
-            rows.append(number)
-    return table.take(rows)
+    identities = zip(*(table[name].to_pylist() for name in names), strict=True)
+    first = {identity: number for number, identity in reversed(list(enumerate(identities)))}
+    return table.take(sorted(first.values()))
 
 
-def _rows_of(path: Path) -> list[Row]:
-    return _rows_from(path, 0)[0]
+def _journals(folder: Path, damaged: list[str]) -> list[Path]:
+    """Return the journals in a folder; `damaged` names devices, pipes and folders, which are never opened."""
+    every = [path for path in sorted(folder.glob("*.jsonl")) if path.exists()]
+    damaged += [f"{path}: the journal is not a file" for path in every if not path.is_file()]
+    return [path for path in every if path.is_file()]
 
 
-def _rows_from(path: Path, offset: int) -> tuple[list[Row], int]:
-    """Return the complete lines of a journal from an offset, and the offset behind them.
+def _lines(path: Path, offset: int, damaged: list[str]) -> tuple[list[Row], int]:
+    """Return the rows of the complete lines of a journal from an offset, and the offset behind them.
 
-    The last line of a killed writer, or of a full disk, may be incomplete: its check was not finished.
+    The last line of a killed writer, or of a full disk, may be incomplete: its check was not finished. Other lines that
+    are not rows are skipped and named in `damaged`. Raises FileNotFoundError if the journal has been stored meanwhile.
     """
-    with path.open("rb") as file:
-        file.seek(offset)
-        data = file.read()
-    end = data.rfind(b"\n") + 1
-    rows = []
-    for line in data[:end].splitlines():
-        with contextlib.suppress(ValueError):
-            row: Mapping[str, Any] = json.loads(line)
-            rows.append(dict(row))
-    return rows, offset + end
+    try:
+        data = read_bytes(path, "journal", _MAX_JOURNAL) if path.stat().st_size else b""
+    except InputError as problem:
+        if isinstance(problem.__cause__, FileNotFoundError):
+            raise problem.__cause__ from problem
+        damaged.append(str(problem))
+        return [], offset
+    rows: list[tuple[str, Row]] = []
+    lines = data[offset:].split(b"\n")[:-1]
+    for number, line in enumerate(lines, start=data[:offset].count(b"\n") + 1):
+        where = f"{path}, line {number}"
+        try:
+            row = parse_json(line, "row", where)
+            if not isinstance(row, dict):
+                raise InputError("the row is not an object", where=where, got=repr(row)[:40])
+            rows.append((where, row))
+        except InputError as problem:
+            damaged.append(str(problem))
+    return _valid(rows, damaged), offset + sum(map(len, lines)) + len(lines)
+
+
+def _valid(rows: Sequence[tuple[str, Row]], damaged: list[str]) -> list[Row]:
+    """Return the rows that are checks; rows of which one is not are halved until it is found."""
+    if not rows:
+        return []
+    try:
+        Checks.of(table_of(row for _, row in rows))
+        return [row for _, row in rows]
+    except InputError as problem:
+        if len(rows) == 1:
+            damaged.append(str(InputError(problem.what, where=rows[0][0], expected=problem.expected, got=problem.got)))
+            return []
+    half = len(rows) // 2
+    return _valid(rows[:half], damaged) + _valid(rows[half:], damaged)
 
 
 def _lock(file: IO[bytes]) -> bool:
@@ -368,7 +391,7 @@ def _lock(file: IO[bytes]) -> bool:
 def _entries(folder: Path | str) -> list[os.DirEntry[str]]:
     try:
         with os.scandir(folder) as entries:
-            return list(itertools.chain(entries))
+            return list(entries)
     except (FileNotFoundError, NotADirectoryError):
         return []
 

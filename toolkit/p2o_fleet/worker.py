@@ -12,7 +12,8 @@ from importlib.metadata import version
 from typing import Any
 
 from p2o.arrays import Float
-from p2o.confidence.audit import EdgeStep, Evidence, Rates, audit
+from p2o.confidence.audit import EdgeStep, Rates, audit
+from p2o.confidence.audit import Evidence as EdgeEvidence
 from p2o.confidence.frame_choice import SeenEdges, choose
 from p2o.errors import InputError, P2OError, one_line
 from p2o.features.view import View
@@ -28,8 +29,9 @@ from p2o.run.run import frame_at, one_camera
 from p2o_study.parallel import limit_threads
 from p2o_study.worker import Plugins, content_digests, portable_hash
 
+from p2o_fleet.checks import valid_estimate
 from p2o_fleet.drive import Drive
-from p2o_fleet.evidence import CheckEvidence, Verdict
+from p2o_fleet.evidence import Evidence, Verdict, estimate_columns
 from p2o_fleet.fetch import local_data
 
 _REACH_PX = 15.0
@@ -69,7 +71,7 @@ class DriveJob:
     plugins: Plugins
 
 
-def check_drive(job: DriveJob) -> CheckEvidence:
+def check_drive(job: DriveJob) -> Evidence:
     """Check the extrinsic of a drive; a log that cannot be checked returns the reason as evidence."""
     began = time.perf_counter()
     try:
@@ -82,12 +84,12 @@ def check_drive(job: DriveJob) -> CheckEvidence:
     return replace(evidence, seconds=time.perf_counter() - began, version=version("p2o-calib"))
 
 
-def unreadable(job: DriveJob, problem: P2OError) -> CheckEvidence:
+def unreadable(job: DriveJob, problem: P2OError) -> Evidence:
     """Return the evidence of a drive that could not be checked."""
-    return CheckEvidence(job.drive, job.key, Verdict.UNREADABLE, one_line(problem, _MAX_REASON))
+    return Evidence.of(job.drive, job.key, Verdict.UNREADABLE, one_line(problem, _MAX_REASON))
 
 
-def _checked(job: DriveJob, data: str) -> CheckEvidence:
+def _checked(job: DriveJob, data: str) -> Evidence:
     plan, pipeline = _built(job.plugins, job.settings)
     limit_threads()
     dataset = open_dataset(data, plan.registry)
@@ -106,20 +108,20 @@ def _checked(job: DriveJob, data: str) -> CheckEvidence:
     reason = check.reason
     if direction is Direction.POSSIBLY_INVERSE and check.holding is CheckStatus.CANNOT_TELL:
         reason = f"the extrinsic looks like lidar_from_camera; {reason}"
-    agreement = check.agreement
-    return CheckEvidence(
+    figures = {} if step is None else estimate_columns(step.error, step.covariance)
+    if check.agreement is not None:
+        figures |= {"odds_ratio": check.agreement.odds_ratio, "cells": check.agreement.places}
+    return Evidence.of(
         job.drive,
         job.key,
         Verdict(check.holding.value),
         one_line(reason, _MAX_REASON),
-        tuple(frames[number].name for number in chosen),
-        None if step is None else step.error,
-        None if step is None else step.covariance,
-        pose,
-        None if agreement is None else agreement.odds_ratio,
-        0 if agreement is None else agreement.places,
-        log[:32],
-        portable_hash(pose)[:32],
+        **figures,
+        camera_from_lidar=tuple(pose[:3].ravel().tolist()),
+        frames=tuple(frames[number].name for number in chosen),
+        frame_count=len(chosen),
+        log=log[:32],
+        extrinsic_digest=portable_hash(pose)[:32],
     )
 
 
@@ -159,12 +161,14 @@ def _audited(views: Sequence[View], pose: Float, pipeline: Pipeline) -> tuple[Ed
     Only if edges near the pose do not confirm it, a search looks for a pose farther away.
     """
     for search in (False, True):
-        evidence = Evidence.of(views, pose, pipeline, search=search)
+        evidence = EdgeEvidence.of(views, pose, pipeline, search=search)
         check = audit(evidence, pipeline.options, Rates())
         if check.estimate is not None and check.holding is not CheckStatus.OFF:
             break
     step = evidence.far if evidence.led_away else evidence.near
-    return (step if isinstance(step, EdgeStep) and check.estimate is not None else None), check
+    if not isinstance(step, EdgeStep) or check.estimate is None:
+        return None, check
+    return (step if valid_estimate(step.error[None], step.covariance[None]) else None), check
 
 
 @lru_cache(maxsize=2)

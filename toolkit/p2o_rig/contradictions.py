@@ -16,7 +16,7 @@ from p2o.arrays import Float
 from p2o.geometry import se3
 from p2o.geometry.pose_error import place_by_update
 
-from p2o_rig.sensor_graph import Edge, GraphSolution, reachable, solve
+from p2o_rig.sensor_graph import Edge, GraphSolution, reachable, solve, spanning_tree
 
 _MIN_P = 0.01
 """Edges contradict each other below this p-value, which is corrected for the number of edges."""
@@ -85,21 +85,23 @@ class ConsistentGraph:
 def consistent(edges: Sequence[Edge], reference: str) -> ConsistentGraph:
     """Solve the graph and exclude edges until all others agree.
 
-    Edges that are not connected with the reference are ignored. Raises as `solve`.
+    Each exclusion takes one solution: how much chi-square decreases without an edge follows from its residual and its
+    leverage. Edges that are not connected with the reference are ignored. Raises as `solve`.
     """
     used = list(edges)
     excluded: list[tuple[list[Edge], bool]] = []
     while True:
-        used = _connected(used, reference)
-        whole = solve(used, reference)
-        in_loop = [edge for edge in used if _in_loop(edge, used, reference)]
-        checks = {edge.name: _check_fitted(edge, whole) for edge in in_loop}
+        poses = reachable(used, reference)
+        used = [edge for edge in used if edge.parent in poses]
+        whole, loops = solve(used, reference), _loops(used, reference)
+        checks = {edge.name: _check_fitted(edge, whole) for edge in used if loops[edge]}
         least = min((check.p_value * len(checks) for check in checks.values()), default=1.0)
-        if min(whole.p_value, least) >= _MIN_P:
+        if not checks or min(whole.p_value, least) >= _MIN_P:
             break
-        without = [solve([other for other in used if other is not edge], reference).chi_square for edge in in_loop]
-        limit = min(without) + _MIN_DIFFERENCE
-        rivals = [edge for edge, chi_square in zip(in_loop, without, strict=True) if chi_square < limit]
+        gains = {edge: checks[edge.name].chi_square for edge in used if loops[edge]}
+        best = max(gains, key=gains.__getitem__)
+        limit = gains[best] - _MIN_DIFFERENCE
+        rivals = [edge for edge, gain in gains.items() if loops[edge] == loops[best] or gain > limit]
         doubted = [edge for edge in rivals if not edge.trusted]
         by_trust = len(rivals) > 1 and len(doubted) == 1
         excluded.append((doubted if by_trust else rivals, by_trust))
@@ -114,14 +116,23 @@ def consistent(edges: Sequence[Edge], reference: str) -> ConsistentGraph:
     return ConsistentGraph(whole, tuple(used), checks, contradictions)
 
 
-def _connected(edges: Sequence[Edge], reference: str) -> list[Edge]:
-    poses = reachable(edges, reference)
-    return [edge for edge in edges if edge.parent in poses]
+def _loops(edges: Sequence[Edge], reference: str) -> dict[Edge, int]:
+    """Return the set of independent loops that contain each edge, as the bits of an integer; 0 for an edge in no loop.
 
-
-def _in_loop(edge: Edge, edges: Sequence[Edge], reference: str) -> bool:
-    others = reachable([other for other in edges if other is not edge], reference)
-    return edge.parent in others and edge.child in others
+    Each edge outside the spanning tree closes one loop. Edges with the same loops are in series: the omission of any of
+    them opens the same loops, so that all explain a contradiction equally well.
+    """
+    tree = spanning_tree(edges, reference)
+    in_tree = {edge for edge, _, _ in tree}
+    loops = {edge: 1 << number for number, edge in enumerate(edge for edge in edges if edge not in in_tree)}
+    through = dict.fromkeys((reference, *(added for _, _, added in tree)), 0)
+    for edge, loop in loops.items():
+        through[edge.parent] ^= loop
+        through[edge.child] ^= loop
+    for edge, known, added in reversed(tree):
+        loops[edge] = through[added]
+        through[known] ^= through[added]
+    return loops
 
 
 def _check(edge: Edge, others: GraphSolution) -> EdgeCheck:

@@ -66,7 +66,7 @@ class RigExtrinsics:
 def estimate_extrinsics(sensors: Sensors, registry: Registry) -> RigExtrinsics:
     """Align the sweeps of LiDARs, solve the graph of all edges, and assess every sensor.
 
-    Raises MethodUnavailable without pyceres or, for sweeps, without small_gicp, and as the data sets do.
+    Raises MethodUnavailable for sweeps without small_gicp, and as the data sets do.
     """
     edges, left_out = list(sensors.edges), list(sensors.left_out)
     clouds: dict[str, Cloud] = {}

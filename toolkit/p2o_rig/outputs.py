@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -77,55 +78,40 @@ def _edge_text(edge: Edge, check: EdgeCheck | None) -> str:
 
 def as_dict(rig: RigExtrinsics) -> dict[str, Any]:
     """Return the JSON object of `p2o rig --json`."""
-    solution = rig.graph.solution
-    used = {edge.name for edge in rig.graph.used}
+    solution, used = rig.graph.solution, {edge.name for edge in rig.graph.used}
     sensors = [
-        {
-            "name": sensor.name,
-            "kind": sensor.kind,
-            "reference_from_sensor": sensor.reference_from_sensor,
-            "covariance": sensor.covariance,
-            "accuracy": sensor.accuracy,
-            "verdict": {"trust": sensor.verdict.trust.value, "reasons": sensor.verdict.why},
-        }
+        {**_values(sensor, _OF_SENSOR), "verdict": {"trust": sensor.verdict.trust.value, "reasons": sensor.verdict.why}}
         for sensor in rig.sensors
     ]
     edges = [
-        {
-            "name": edge.name,
-            "parent": edge.parent,
-            "child": edge.child,
-            "kind": edge.kind.value,
-            "source": edge.source,
-            "trusted": edge.trusted,
-            "used": edge.name in used,
-            "parent_from_child": edge.parent_from_child,
-            "covariance": edge.covariance,
-            "check": _check_dict(rig.graph.checks.get(edge.name)),
-        }
+        {**_values(edge, _OF_EDGE), "used": edge.name in used, "check": _check_dict(rig.graph.checks.get(edge.name))}
         for edge in rig.edges
     ]
     return {
         "reference": rig.reference,
         "verdict": {"trust": rig.verdict.trust.value, "reasons": rig.verdict.why},
-        "chi_square": solution.chi_square,
-        "degrees": solution.degrees,
-        "p_value": solution.p_value,
+        **_values(solution, ("chi_square", "degrees", "p_value")),
         "sensors": json_tree("sensors", sensors),
         "edges": json_tree("edges", edges),
         "contradictions": [
             {"edges": [edge.name for edge in one.edges], "text": one.text} for one in rig.graph.contradictions
         ],
-        "left_out": [{"name": one.name, "reason": one.reason} for one in rig.left_out],
+        "left_out": [_values(one, ("name", "reason")) for one in rig.left_out],
         "warnings": list(rig.warnings),
     }
 
 
+_OF_SENSOR = ("name", "kind", "reference_from_sensor", "covariance", "accuracy")
+_OF_EDGE = ("name", "parent", "child", "kind", "source", "trusted", "parent_from_child", "covariance")
+_OF_CHECK = ("rotation_deg", "translation_m", "chi_square", "p_value", "text")
+
+
+def _values(one: Any, names: Sequence[str]) -> dict[str, Any]:
+    return {name: getattr(one, name) for name in names}
+
+
 def _check_dict(check: EdgeCheck | None) -> dict[str, Any] | None:
-    if check is None:
-        return None
-    values = {"rotation_deg": check.rotation_deg, "translation_m": check.translation_m}
-    return {**values, "chi_square": check.chi_square, "p_value": check.p_value, "text": check.text}
+    return None if check is None else _values(check, _OF_CHECK)
 
 
 def write_folder(rig: RigExtrinsics, folder: Path) -> list[Path]:

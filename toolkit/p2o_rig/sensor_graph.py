@@ -1,21 +1,22 @@
-"""Pose graph of the sensors of a body: measured relative poses as edges, solved by Ceres (package pyceres)."""
+"""Pose graph of the sensors of a body: measured relative poses as edges, solved by least squares on SE(3)."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
+from heapq import heappop, heappush
 
 import numpy as np
-from p2o.arrays import Float, checked
-from p2o.errors import InputError, MethodUnavailable
+from p2o.arrays import Float, Int, checked
+from p2o.errors import InputError
 from p2o.geometry import se3
 from p2o.geometry.motion import adjoint_matrix
-from p2o.runtime.native import import_keeping_signals
 
 _MIN_CONDITION = 1e-14
 """Minimum ratio of the eigenvalues of a covariance whose units are rad and m."""
+_MAX_STEPS, _SMALL_STEP, _MIN_DAMPING = 100, 1e-12, 1e-6
+"""Largest number of steps, the step (rad, m) at which a solution has converged, and the smallest damping."""
 
 
 class EdgeKind(StrEnum):
@@ -129,115 +130,160 @@ class GraphSolution:
         return self.covariance[row : row + 6, column : column + 6]
 
 
-def reachable(edges: Sequence[Edge], reference: str) -> dict[str, Float]:
-    """Return reference_from_sensor (4, 4) of all sensors that edges connect with the reference.
+def spanning_tree(edges: Sequence[Edge], reference: str) -> list[tuple[Edge, str, str]]:
+    """Return the tree of the edges with the smallest standard deviations, from the reference on (Prim, 1957).
 
-    The poses follow from the spanning tree of the edges with the smallest standard deviations.
+    Each element is an edge, its sensor that an earlier edge reaches, and its sensor that it adds.
     """
-    poses: dict[str, Float] = {reference: np.eye(4)}
-    remaining = sorted(edges, key=lambda edge: (edge.size, edge.name))
+    beside: dict[str, list[tuple[Edge, str]]] = {}
+    for edge in edges:
+        beside.setdefault(edge.parent, []).append((edge, edge.child))
+        beside.setdefault(edge.child, []).append((edge, edge.parent))
+    tree: list[tuple[Edge, str, str]] = []
+    queue: list[tuple[float, str, int, Edge, str, str]] = []
+    reached, added = {reference}, reference
     while True:
-        edge = next((edge for edge in remaining if (edge.parent in poses) != (edge.child in poses)), None)
-        if edge is None:
-            return poses
-        if edge.parent in poses:
-            poses[edge.child] = poses[edge.parent] @ edge.parent_from_child
-        else:
-            poses[edge.parent] = poses[edge.child] @ se3.inverse(edge.parent_from_child)
+        for edge, other in beside.get(added, ()):
+            heappush(queue, (edge.size, edge.name, id(edge), edge, added, other))
+        while queue and queue[0][-1] in reached:
+            heappop(queue)
+        if not queue:
+            return tree
+        *_, edge, known, added = heappop(queue)
+        reached.add(added)
+        tree.append((edge, known, added))
+
+
+def reachable(edges: Sequence[Edge], reference: str) -> dict[str, Float]:
+    """Return reference_from_sensor (4, 4) of all sensors that edges connect with the reference, by `spanning_tree`."""
+    poses: dict[str, Float] = {reference: np.eye(4)}
+    for edge, known, added in spanning_tree(edges, reference):
+        step = edge.parent_from_child if added == edge.child else se3.inverse(edge.parent_from_child)
+        poses[added] = poses[known] @ step
+    return poses
 
 
 def solve(edges: Sequence[Edge], reference: str) -> GraphSolution:
     """Return the poses that minimise the sum of the squared Mahalanobis distances of the edges.
 
-    Edges that are not connected with the reference are ignored. Raises MethodUnavailable without pyceres.
+    Levenberg-Marquardt on SE(3) from the poses of the spanning tree (Barfoot, State Estimation for Robotics, 2017,
+    section 8.4). Edges that are not connected with the reference are ignored. Raises InputError if the covariances
+    of the edges determine the poses too badly.
     """
-    pyceres = _pyceres()
     poses = reachable(edges, reference)
     edges = [edge for edge in edges if edge.parent in poses]
     sensors = tuple(sorted(set(poses) - {reference}))
     if not sensors:
         return GraphSolution(reference, poses, (), np.zeros((0, 0)), 0.0, 0)
-    cost_class = _edge_cost(pyceres)
-    for _ in range(2):  # again from the result, where derivatives by the parameters are those by left updates
-        deltas = {sensor: np.zeros(6) for sensor in (*sensors, reference)}
-        problem, costs = pyceres.Problem(), []
-        for edge in edges:
-            # Python must keep the costs alive, since Ceres holds plain pointers to them.
-            costs.append(cost_class(edge, poses[edge.parent], poses[edge.child]))
-            problem.add_residual_block(costs[-1], None, [deltas[edge.parent], deltas[edge.child]])
-        problem.set_parameter_block_constant(deltas[reference])
-        settings, summary = pyceres.SolverOptions(), pyceres.SolverSummary()
-        settings.max_num_iterations = 200
-        settings.function_tolerance = settings.gradient_tolerance = settings.parameter_tolerance = 1e-14
-        settings.linear_solver_type = pyceres.LinearSolverType.DENSE_QR
-        settings.num_threads = 1
-        settings.logging_type = pyceres.LoggingType.SILENT
-        pyceres.solve(settings, problem, summary)
-        poses = {sensor: se3.exp(deltas[sensor]) @ pose for sensor, pose in poses.items()}
-    covariance = _covariance(pyceres, problem, [deltas[sensor] for sensor in sensors])
-    degrees = 6 * (len(edges) - len(sensors))
-    return GraphSolution(reference, poses, sensors, covariance, 2 * float(summary.final_cost), degrees)
+    problem = _Problem.of(edges, sensors)
+    x = np.stack([poses[sensor] for sensor in (*sensors, reference)])
+    cost, damping = problem.cost(x), 0.0
+    for _ in range(_MAX_STEPS):
+        normal, gradient = problem.normal_equations(x)
+        step = -_inverse(normal, damping) @ gradient
+        moved = x.copy()
+        moved[:-1] = se3.exp(step.reshape(-1, 6)) @ x[:-1]
+        lower = problem.cost(moved)
+        if lower <= cost:
+            x, cost, damping = moved, lower, damping / 10 if damping > _MIN_DAMPING else 0.0
+        elif np.abs(step).max() > _SMALL_STEP:
+            damping = max(10 * damping, _MIN_DAMPING)
+            continue
+        if np.abs(step).max() <= _SMALL_STEP:
+            break
+    covariance = _inverse(problem.normal_equations(x)[0])
+    poses = dict(zip((*sensors, reference), x, strict=True))
+    return GraphSolution(reference, poses, sensors, covariance, cost, 6 * (len(edges) - len(sensors)))
 
 
-def _covariance(pyceres: Any, problem: Any, blocks: Sequence[Float]) -> Float:
-    """Return the joint covariance (6 n, 6 n) of parameter blocks."""
-    options = pyceres.CovarianceOptions()
-    options.algorithm_type = pyceres.CovarianceAlgorithmType.DENSE_SVD
-    options.num_threads = 1
-    estimate, count = pyceres.Covariance(options), len(blocks)
-    pairs = [(blocks[i], blocks[j]) for i in range(count) for j in range(i, count)]
-    if not estimate.compute(pairs, problem):
-        raise InputError("the poses of the sensors are not observable", hint="check the covariances of the edges")
-    out = np.zeros((6 * count, 6 * count))
-    for i in range(count):
-        for j in range(i, count):
-            block = np.asarray(estimate.get_covariance_block(blocks[i], blocks[j])).reshape(6, 6)
-            out[6 * i : 6 * i + 6, 6 * j : 6 * j + 6] = block
-            out[6 * j : 6 * j + 6, 6 * i : 6 * i + 6] = block.T
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """The edges (E) of a graph as arrays: row numbers of their sensors, measured child_from_parent, whitening.
+
+    Poses (n + 1, 4, 4) are those of the sensors and, last, of the reference.
+    """
+
+    parent: Int
+    child: Int
+    child_from_parent: Float
+    whiten: Float
+
+    @classmethod
+    def of(cls, edges: Sequence[Edge], sensors: Sequence[str]) -> _Problem:
+        row = {sensor: number for number, sensor in enumerate(sensors)}
+        parent = np.array([row.get(edge.parent, len(sensors)) for edge in edges])
+        child = np.array([row.get(edge.child, len(sensors)) for edge in edges])
+        measured = np.stack([edge.parent_from_child for edge in edges])
+        whiten = np.asarray(
+            np.linalg.inv(np.linalg.cholesky(np.stack([edge.covariance for edge in edges]))), np.float64
+        )
+        return cls(parent, child, se3.inverse(measured), whiten)
+
+    def updates(self, poses: Float) -> Float:
+        """Return the left updates (E, 6) from the measured to the estimated relative poses."""
+        return _log(se3.inverse(poses[self.parent]) @ poses[self.child] @ self.child_from_parent)
+
+    def cost(self, poses: Float) -> float:
+        """Return the sum of the squared Mahalanobis distances."""
+        return float(np.sum(np.einsum("eij,ej->ei", self.whiten, self.updates(poses)) ** 2))
+
+    def normal_equations(self, poses: Float) -> tuple[Float, Float]:
+        """Return the normal matrix (6 n, 6 n) and the gradient (6 n,) by left updates of the poses."""
+        updates, count = self.updates(poses), len(poses)
+        # A left update d of the child is the update Ad(parent_from_reference) d of the relative pose, one of the
+        # parent is its opposite.
+        by_child = self.whiten @ _inverse_left_jacobians(updates) @ _adjoints(se3.inverse(poses[self.parent]))
+        information = np.swapaxes(by_child, 1, 2) @ by_child
+        slope = np.einsum("eji,ejk,ek->ei", by_child, self.whiten, updates)
+        normal, gradient = np.zeros((count, count, 6, 6)), np.zeros((count, 6))
+        for first, second, sign in (
+            (self.child, self.child, 1.0),
+            (self.parent, self.parent, 1.0),
+            (self.child, self.parent, -1.0),
+            (self.parent, self.child, -1.0),
+        ):
+            np.add.at(normal, (first, second), sign * information)
+        np.add.at(gradient, self.child, slope)
+        np.add.at(gradient, self.parent, -slope)
+        free = 6 * (count - 1)
+        return normal[:-1, :-1].transpose(0, 2, 1, 3).reshape(free, free), gradient[:-1].ravel()
+
+
+def _inverse(normal: Float, damping: float = 0.0) -> Float:
+    """Return the inverse of a normal matrix, with its diagonal enlarged by the share `damping` (Marquardt)."""
+    scale = 1 / np.sqrt(np.diag(normal))
+    scaled = normal * scale[:, None] * scale + damping * np.eye(len(normal))
+    try:
+        lower = np.linalg.inv(np.linalg.cholesky(scaled))
+    except np.linalg.LinAlgError as problem:
+        text = "the poses of the sensors are not observable"
+        raise InputError(text, hint="check the covariances of the edges") from problem
+    return np.asarray(lower.T @ lower * scale[:, None] * scale)
+
+
+def _log(transforms: Float) -> Float:
+    """Return the tangent vectors (E, 6) of transforms (E, 4, 4), as `se3.log` of each."""
+    omega = se3.rotation_vector(transforms[:, :3, :3])
+    angle, cross = np.linalg.norm(omega, axis=1), se3.skew(omega)
+    safe = np.maximum(angle, 1e-3)
+    factor = np.where(angle < 1e-3, 1 / 12 + angle**2 / 720, 1 / safe**2 - 1 / (2 * safe * np.tan(safe / 2)))
+    inverse_v = np.eye(3) - 0.5 * cross + factor[:, None, None] * (cross @ cross)
+    return np.concatenate([omega, np.einsum("eij,ej->ei", inverse_v, transforms[:, :3, 3])], axis=1)
+
+
+def _adjoints(transforms: Float) -> Float:
+    """Return the adjoints (E, 6, 6) of transforms (E, 4, 4)."""
+    rotation = transforms[:, :3, :3]
+    out = np.zeros((len(transforms), 6, 6))
+    out[:, :3, :3] = out[:, 3:, 3:] = rotation
+    out[:, 3:, :3] = se3.skew(transforms[:, :3, 3]) @ rotation
     return out
 
 
-def _edge_cost(pyceres: Any) -> Any:
-    class EdgeCost(pyceres.CostFunction):  # type: ignore[misc]
-        """Whitened left update between the measured and the estimated pose of one edge.
-
-        The parameters are left updates (6,) of reference_from_parent and reference_from_child.
-        """
-
-        def __init__(self, edge: Edge, parent: Float, child: Float) -> None:
-            super().__init__()
-            self.poses, self.child_from_parent = (parent, child), se3.inverse(edge.parent_from_child)
-            self.whiten = np.linalg.inv(np.linalg.cholesky(edge.covariance))
-            self.set_num_residuals(6)
-            self.set_parameter_block_sizes([6, 6])
-
-        def Evaluate(self, parameters: Any, residuals: Any, jacobians: Any) -> bool:  # noqa: N802 (named by Ceres)
-            deltas = [np.array(parameter) for parameter in parameters]
-            parent, child = (se3.exp(delta) @ pose for delta, pose in zip(deltas, self.poses, strict=True))
-            parent_from_reference = se3.inverse(parent)
-            update = se3.log(parent_from_reference @ child @ self.child_from_parent)
-            residuals[:] = self.whiten @ update
-            if jacobians is not None:
-                by_left = self.whiten @ _inverse_left_jacobian(update) @ adjoint_matrix(parent_from_reference)
-                for jacobian, delta, sign in zip(jacobians, deltas, (-1.0, 1.0), strict=True):
-                    if jacobian is not None:
-                        jacobian[:] = (sign * by_left @ np.linalg.inv(_inverse_left_jacobian(delta))).ravel()
-            return True
-
-    return EdgeCost
-
-
-def _inverse_left_jacobian(tangent: Float) -> Float:
-    """Return the inverse left Jacobian (6, 6) of SE(3), by its series to the fourth order (Barfoot 2017, eq. 7.84)."""
-    turn, shift = se3.skew(tangent[:3]), se3.skew(tangent[3:])
-    small = np.block([[turn, np.zeros((3, 3))], [shift, turn]])
+def _inverse_left_jacobians(tangents: Float) -> Float:
+    """Return the inverse left Jacobians (E, 6, 6) of SE(3), to the fourth order (Barfoot 2017, eq. 7.84)."""
+    small = np.zeros((len(tangents), 6, 6))
+    small[:, :3, :3] = small[:, 3:, 3:] = se3.skew(tangents[:, :3])
+    small[:, 3:, :3] = se3.skew(tangents[:, 3:])
     square = small @ small
     return np.asarray(np.eye(6) - small / 2 + square / 12 - square @ square / 720)
-
-
-def _pyceres() -> Any:
-    try:
-        return import_keeping_signals("pyceres")
-    except ModuleNotFoundError as problem:
-        hint = 'run: pip install "p2o-calib[ceres]"'
-        raise MethodUnavailable("p2o rig needs the package pyceres, which is not installed", hint=hint) from problem

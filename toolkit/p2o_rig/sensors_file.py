@@ -15,7 +15,7 @@ from p2o.arrays import Float
 from p2o.confidence.fusion import Opinion
 from p2o.errors import InputError, UnknownNameError
 from p2o.files.input_file import expanded, naming, read_text
-from p2o.files.parsed_text import parse_json, parse_yaml
+from p2o.files.parsed_text import parse_json, read_plain
 from p2o.frames.frame import check_camera_name
 from p2o.geometry.perturb import parse_accuracy
 from p2o.geometry.pose_text import read_pose
@@ -86,9 +86,7 @@ def read_sensors(path: Path | str) -> Sensors:
     and two results for one camera and LiDAR.
     """
     path = expanded(path)
-    text = read_text(path, "file of sensors")
-    parse = parse_json if path.suffix.lower() == ".json" else parse_yaml
-    content = parse(text, "file of sensors", path)
+    content = read_plain(path, "file of sensors")
     if not isinstance(content, Mapping):
         got = type(content).__name__
         raise InputError("the file of sensors has no keys", where=path, expected="lidars: ...", got=got)

@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import tomllib
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 from p2o.errors import InputError
+from p2o.files.input_file import read_text
 
 DEEPEST = 64
 """Maximum nesting: parsers and the functions that use their values are recursive."""
@@ -67,6 +69,12 @@ def parse_yaml(text: str, what: str, where: object = None) -> Any:
         raise InputError(message, where=where, expected=expected, got=problem.problem) from problem
     except (yaml.YAMLError, RecursionError, ValueError) as problem:
         raise _not(what, "YAML", where, problem) from problem
+
+
+def read_plain(path: Path, what: str) -> Any:
+    """Return the value of a file: JSON if its name ends in .json, else YAML; raises InputError as the parsers."""
+    parse = parse_json if path.suffix.lower() == ".json" else parse_yaml
+    return parse(read_text(path, what), what, path)
 
 
 def _not(what: str, kind: str, where: object, problem: Exception) -> InputError:

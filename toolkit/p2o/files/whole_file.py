@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import os
 from collections.abc import Iterator
@@ -12,9 +13,10 @@ from typing import Any
 from p2o.errors import InputError
 
 
-def write_whole(path: Path | str, data: bytes) -> None:
+def write_whole(path: Path | str, data: bytes, *, sync: bool = False) -> None:
     """Write `data` to a file in an existing folder; an existing file is replaced atomically.
 
+    With `sync`, the content is on the disk before the file has its name (and the name after `sync_folder`).
     Raises InputError if the folder is missing or cannot be written, the disk is full, or the path is a folder, a
     device or a pipe.
     """
@@ -28,6 +30,9 @@ def write_whole(path: Path | str, data: bytes) -> None:
             raise OSError(0, "it is a device, a pipe or a socket")
         try:
             part.write_bytes(data)
+            if sync:
+                with part.open("r+b") as file:
+                    os.fsync(file.fileno())
             part.replace(path)
         except BaseException:
             part.unlink(missing_ok=True)
@@ -35,6 +40,23 @@ def write_whole(path: Path | str, data: bytes) -> None:
     except OSError as problem:
         got = problem.strerror or str(problem)
         raise InputError("cannot write the file", where=path, got=got, hint=_hint(path)) from problem
+
+
+def sync_folder(folder: Path) -> None:
+    """Write the names of the files in a folder to the disk; raises OSError if that fails.
+
+    Windows, and file systems that cannot do it, write names with the files.
+    """
+    if os.name == "nt":
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    except OSError as problem:
+        if problem.errno != errno.EINVAL:
+            raise
+    finally:
+        os.close(handle)
 
 
 def json_text(value: Any) -> str:

@@ -13,8 +13,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from p2o.arrays import Float, checked
 from p2o.errors import InputError
-from p2o.files.input_file import expanded, read_text
-from p2o.files.parsed_text import parse_json, parse_yaml
+from p2o.files.input_file import expanded
+from p2o.files.parsed_text import read_plain
 from p2o.files.whole_file import write_whole
 from p2o.options import validated
 
@@ -62,9 +62,7 @@ def read_pairs(path: Path | str) -> dict[str, PickedPairs]:
     Raises InputError where the file cannot be read or has another form.
     """
     path = expanded(path)
-    text = read_text(path, "file of pairs")
-    parse = parse_json if path.suffix.lower() == ".json" else parse_yaml
-    content = parse(text, "file of pairs", path)
+    content = read_plain(path, "file of pairs")
     if not isinstance(content, dict) or not isinstance(content.get("frames"), dict):
         expected = "frames: {NAME: [{uv: [u, v], xyz: [x, y, z]}, ...]}"
         got = type(content).__name__ if not isinstance(content, dict) else "no mapping of frames"

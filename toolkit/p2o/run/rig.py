@@ -14,8 +14,8 @@ from pydantic import Field
 
 from p2o.arrays import Float
 from p2o.errors import InputError, UnknownNameError
-from p2o.files.input_file import expanded, naming, read_text
-from p2o.files.parsed_text import parse_json, parse_yaml
+from p2o.files.input_file import expanded, naming
+from p2o.files.parsed_text import read_plain
 from p2o.frames.frame import check_camera_name
 from p2o.geometry import se3
 from p2o.geometry.motion import pose_at
@@ -100,9 +100,7 @@ class Rig:
         if not value:
             raise InputError("the rig file has no name", where="--rig", expected="a file, or no word for none")
         path = expanded(value)
-        text = read_text(path, "rig file")
-        json = path.suffix.lower() == ".json"
-        return parse_rig((parse_json if json else parse_yaml)(text, "rig file", path), path, registry)
+        return parse_rig(read_plain(path, "rig file"), path, registry)
 
     def start_of(self, camera: str) -> Float | None:
         """Return the initial guess of camera_from_lidar (4, 4) of a camera, or None."""
@@ -173,9 +171,8 @@ def parse_rig(content: Any, where: Path | str, registry: Registry | None = None)
     cameras: dict[str, CameraEntry] = {}
     for name, value in entry.cameras.items():
         check_camera_name(name, where=where)
-        if not isinstance(value, Mapping):
-            value = {} if value is None else value
-        cameras[name] = validated(CameraEntry, value, name, where=where, noun=f"key of camera {name}")
+        entries = {} if value is None else value
+        cameras[name] = validated(CameraEntry, entries, name, where=where, noun=f"key of camera {name}")
     places, warnings = _places(entry, cameras, where, registry)
     start = np.eye(4) if places and any(camera.camera_from_lidar is not None for camera in cameras.values()) else None
     if entry.body_from_lidar is not None:

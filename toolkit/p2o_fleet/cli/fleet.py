@@ -6,6 +6,7 @@ import importlib.util
 import json
 import sys
 import time
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +18,7 @@ from p2o.errors import MethodUnavailable, printable
 from p2o_study.cli.ablate import jobs_option
 
 if TYPE_CHECKING:
-    from p2o_fleet.evidence import CheckEvidence
+    from p2o_fleet.evidence import Evidence
     from p2o_fleet.run import RunOutcome
 
 
@@ -33,26 +34,21 @@ def command() -> None:
         raise MethodUnavailable("p2o fleet needs the package pyarrow, which is not installed", hint=hint)
 
 
-_store = click.option(
-    "--store", default="p2o-out/fleet", show_default=True, metavar="DIR", help="Folder of the stored evidence."
-)
+_option = partial(click.option, show_default=True)
+_store = _option("--store", default="p2o-out/fleet", metavar="DIR", help="Folder of the stored evidence.")
+_COUNT, _SEED = click.IntRange(1, 1_000_000), click.IntRange(0)
+_RATE, _SHARE, _DEG = click.FloatRange(0.01, 1e6), click.FloatRange(0, 1), click.FloatRange(-90, 90)
 
 
 @command.command("run")
 @click.argument("drives")
 @_store
 @jobs_option
-@click.option(
-    "--backend", type=click.Choice(["loky", "dask", "ray"]), default="loky", show_default=True, help="Runs the jobs."
-)
+@_option("--backend", type=click.Choice(["loky", "dask", "ray"]), default="loky", help="Runs the jobs.")
 @click.option("--scheduler", metavar="ADDRESS", help="Existing dask scheduler (tcp://HOST:8786) or ray cluster.")
-@click.option("--frames", default=8, show_default=True, metavar="N", help="Number of frames of a check.")
-@click.option(
-    "--candidates", default=12, show_default=True, metavar="N", help="Number of frames, spread in time, to choose from."
-)
-@click.option(
-    "--extractor", default="p2ornet/rings", show_default=True, metavar="IMAGE/CLOUD", help="The two extractors."
-)
+@_option("--frames", default=8, metavar="N", help="Number of frames of a check.")
+@_option("--candidates", default=12, metavar="N", help="Number of frames, spread in time, to choose from.")
+@_option("--extractor", default="p2ornet/rings", metavar="IMAGE/CLOUD", help="The two extractors.")
 @click.option("--set", "options", multiple=True, metavar="STAGE.FIELD=VALUE", help="An option of a method.")
 @json_option
 @click.option("--quiet", is_flag=True, help="No progress.")
@@ -63,14 +59,12 @@ def run(
     jobs: int,
     backend: Any,
     scheduler: str | None,
-    frames: int,
-    candidates: int,
-    extractor: str,
     options: tuple[str, ...],
     as_json: bool,
     quiet: bool,
     plugin: tuple[str, ...],
     block: tuple[str, ...],
+    **words: Any,
 ) -> int:
     """Check the drives of a table, or of a folder ROOT/VEHICLE/TIME, that are not stored yet.
 
@@ -93,7 +87,7 @@ def run(
     from p2o_fleet.store import Store
     from p2o_fleet.worker import CheckSettings
 
-    settings = CheckSettings(frames, candidates, extractor, json.dumps(parse_settings(options), sort_keys=True))
+    settings = CheckSettings(**words, options=json.dumps(parse_settings(options), sort_keys=True))
     done = run_fleet(
         drives_of(drives),
         Store(Path(store).expanduser()),
@@ -103,9 +97,12 @@ def run(
         on_check=(lambda outcome, evidence: None) if quiet or as_json else _Lines(),
     )
     unreadable = done.verdicts[Verdict.UNREADABLE.value]
+    for text in done.damaged:
+        click.echo(printable(f"p2o: skipped: {text}"), err=True)
     if as_json:
         counts = {verdict.value: done.verdicts[verdict.value] for verdict in Verdict}
-        print_json({"checked": done.checked, "kept": done.kept, "seconds": done.seconds, **counts})
+        damaged = {"damaged": list(done.damaged)} if done.damaged else {}
+        print_json({"checked": done.checked, "kept": done.kept, "seconds": done.seconds, **counts, **damaged})
     else:
         parts = ", ".join(f"{count} {verdict}" for verdict, count in sorted(done.verdicts.items()))
         click.echo(f"{done.checked} drives checked{f' ({parts})' if parts else ''}, {done.kept} stored before; {store}")
@@ -121,11 +118,11 @@ class _Lines:
     def __init__(self) -> None:
         self.last = time.monotonic()
 
-    def __call__(self, outcome: RunOutcome, evidence: CheckEvidence) -> None:
+    def __call__(self, outcome: RunOutcome, evidence: Evidence) -> None:
         from p2o_fleet.evidence import Verdict
 
         if evidence.verdict is Verdict.UNREADABLE:
-            print(f"p2o: {printable(evidence.drive.data, 200)}: {printable(evidence.reason)}", file=sys.stderr)
+            print(f"p2o: {printable(evidence.data, 200)}: {printable(evidence.reason)}", file=sys.stderr)
         if time.monotonic() - self.last > LINE_INTERVAL_S:
             self.last = time.monotonic()
             print(f"p2o: {outcome.checked} drives checked, {outcome.kept} stored before", file=sys.stderr)
@@ -133,30 +130,14 @@ class _Lines:
 
 @command.command("report")
 @_store
-@click.option("--out", default="p2o-out/fleet-report", show_default=True, metavar="DIR", help="Folder of the report.")
-@click.option("--rate", default=0.01, show_default=True, metavar="SHARE", help="False discovery rate of the alarms.")
-@click.option(
-    "--tolerance",
-    default="0.2deg 3cm",
-    show_default=True,
-    metavar="SIZE",
-    help="Constant error that counts as correct.",
-)
-@click.option(
-    "--type-tolerance",
-    default="0.03deg 1cm",
-    show_default=True,
-    metavar="SIZE",
-    help="The same for the mean of the vehicles of a type.",
-)
-@click.option(
-    "--notice", default="0.5deg 5cm", show_default=True, metavar="SIZE", help="Error that has to be detectable."
-)
+@_option("--out", default="p2o-out/fleet-report", metavar="DIR", help="Folder of the report.")
+@_option("--rate", default=0.01, metavar="SHARE", help="False discovery rate of the alarms.")
+@_option("--tolerance", default="0.2deg 3cm", metavar="SIZE", help="Constant error that counts as correct.")
+@_option("--type-tolerance", default="0.03deg 1cm", metavar="SIZE", help="The same for the mean of a vehicle type.")
+@_option("--notice", default="0.5deg 5cm", metavar="SIZE", help="Error that has to be detectable.")
 @jobs_option
 @click.option("--trends/--no-trends", default=True, help="Remove trends with temperature and time of day.")
-@click.option(
-    "--overlays", default=20, show_default=True, metavar="N", help="Draw frames of N alarms, where their logs are."
-)
+@_option("--overlays", default=20, metavar="N", help="Draw frames of N alarms, where their logs are.")
 @click.option("--require", is_flag=True, help="Exit status 1 also if the state of an extrinsic is unknown.")
 @json_option
 @plugin_options
@@ -204,31 +185,15 @@ def report(
     return 1 if state.alarms or any(one.alarms for one in state.types) or (require and unknown) else 0
 
 
-@command.command("compact")
-@_store
-def compact(store: str) -> int:
-    """Merge the files of each vehicle and month, as runs do for vehicles with files of more than eight days.
-
-    Other processes may read and write the store at the same time.
-    """
-    from p2o_fleet.store import Store
-
-    merged = Store.existing(store).compact()
-    click.echo(f"{merged} months of vehicles merged")
-    return 0
-
-
 @command.command("simulate")
 @click.argument("out")
-@click.option("--vehicles", default=1000, show_default=True, metavar="N", help="Number of vehicles.")
-@click.option("--checks", default=100, show_default=True, metavar="N", help="Number of checks of each vehicle.")
-@click.option("--per-day", default=10.0, show_default=True, metavar="N", help="Number of checks per day.")
-@click.option("--faults", default=0.1, show_default=True, metavar="SHARE", help="Share of vehicles with a fault.")
-@click.option("--rigs", default="sim-hdl-64e,kitti", show_default=True, metavar="NAME,...", help="Rigs of the noise.")
-@click.option(
-    "--wrong-cad", default=0.0, show_default=True, metavar="DEG", help="Yaw error of all vehicles of one type."
-)
-@click.option("--seed", default=0, show_default=True, metavar="N", help="Seed of all random numbers.")
+@_option("--vehicles", type=_COUNT, default=1000, metavar="N", help="Number of vehicles.")
+@_option("--checks", type=_COUNT, default=100, metavar="N", help="Number of checks of each vehicle.")
+@_option("--per-day", type=_RATE, default=10.0, metavar="N", help="Number of checks per day.")
+@_option("--faults", type=_SHARE, default=0.1, metavar="SHARE", help="Share of vehicles with a fault.")
+@_option("--rigs", default="sim-hdl-64e,kitti", metavar="NAME,...", help="Rigs of the noise.")
+@_option("--wrong-cad", type=_DEG, default=0.0, metavar="DEG", help="Yaw error of all vehicles of one type.")
+@_option("--seed", type=_SEED, default=0, metavar="N", help="Seed of all random numbers.")
 def simulate(
     out: str, vehicles: int, checks: int, per_day: float, faults: float, rigs: str, wrong_cad: float, seed: int
 ) -> int:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 from p2o.cli.json_output import json_option, print_json
 from p2o.cli.plugin_options import load, plugin_options
-from p2o.errors import InputError, printable
+from p2o.errors import printable
 from p2o.files.input_file import expanded
+from p2o.files.whole_file import write_errors
 
 
 @click.command("rig")
@@ -35,19 +34,13 @@ def command(sensors: str, out: str | None, as_json: bool, plugin: tuple[str, ...
     from p2o_rig.outputs import as_dict, as_text, write_folder
     from p2o_rig.sensors_file import read_sensors
 
-    folder = None if out is None else _made(expanded(out))
+    folder = None if out is None else expanded(out)
+    if folder is not None:
+        with write_errors("the results", folder, "choose another folder"):
+            folder.mkdir(parents=True, exist_ok=True)
     rig = estimate_extrinsics(read_sensors(sensors), load(plugin, block))
     print_json(as_dict(rig)) if as_json else click.echo(as_text(rig))
     if folder is not None:
         for path in write_folder(rig, folder):
             click.echo(printable(f"wrote {path}"), err=as_json)
     return 0 if rig.verdict.trusted and not rig.graph.contradictions else 1
-
-
-def _made(folder: Path) -> Path:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as problem:
-        got = problem.strerror or str(problem)
-        raise InputError("cannot write the results", where=folder, got=got, hint="choose another folder") from problem
-    return folder
