@@ -309,7 +309,7 @@ MUTATIONS = (
     ),
     Mutation(
         "colmap-half-pixel", "p2o_formats", "off by one", "plugins/p2o_formats/colmap.py",
-        "tuple(params.tolist()), -0.5)", "tuple(params.tolist()), 0.0)", f"{_T}/formats/colmap.py",
+        "tuple(params), -0.5)", "tuple(params), 0.0)", f"{_T}/formats/colmap.py",
     ),
     Mutation(
         "koide-direction", "p2o_formats", "inverted transform", "plugins/p2o_formats/koide.py",
