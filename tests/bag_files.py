@@ -68,6 +68,7 @@ def store_of(form: str) -> Any:
 def write_bag(root: Path, messages: Iterable[Said], form: str = "mcap", **options: Any) -> Path:
     """Write a bag below `root` and return what a user names: a .bag file, or a folder."""
     store = store_of(form)
+    root.mkdir(parents=True, exist_ok=True)
     if form == "ros1":
         path = root / "drive.bag"
         writer: Any = Writer1(path)
