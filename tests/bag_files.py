@@ -251,7 +251,6 @@ def messages_of(
     TF contains `drawing` (camera_from_lidar) where it is given, else the true pose.
     """
     truth = frames[0].camera_from_lidar if drawing is None else drawing
-    assert truth is not None
     said = [
         tf(
             [

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from p2o import InputError, UnknownNameError, se3
+from p2o import InputError, UnknownNameError
 from p2o_datasets.argoverse2 import CAMERAS
 
 from .argoverse2_files import BEAMS_DEG, EGO_FROM, FOCAL, LOG, START_NS, Log, measured, save, seconds
-from .drive import SPEED_M_S, TURN_RAD_S, car, pixels, through
+from .drive import SPEED_M_S, TURN_RAD_S, car, check_projection, pixels, through
 from .opened import opened, refused
 
 dataset = partial(opened, "argoverse2")
@@ -48,17 +48,12 @@ def test_points_are_seen_where_the_data_set_itself_projects_them(tmp_path: Path,
         car_now_from_then = np.linalg.inv(car(seconds(image_ns))) @ car(seconds(sweep_ns))
         optical = through(np.linalg.inv(EGO_FROM[camera]) @ car_now_from_then, ego)
         expected = pixels(optical, FOCAL, FOCAL, *found[0].camera.params[2:])
-        assert frame.camera_from_lidar is not None
-        seen = frame.camera.project(se3.apply(frame.camera_from_lidar, frame.cloud.xyz))
-        inside = frame.camera.in_image(expected)
-        assert inside.sum() > 50
-        assert np.abs(seen - expected)[inside].max() < 1e-6
+        check_projection(frame, expected, 50, 1e-6)
 
 
 @pytest.mark.parametrize(("lidar", "low_is_up"), [("up_lidar", True), ("down_lidar", True), ("up_lidar", False)])
 def test_rings_tell_which_lasers_are_of_which_lidar(tmp_path: Path, lidar: str, low_is_up: bool) -> None:
     frame = dataset(Log(tmp_path, low_is_up=low_is_up).write(), lidar=lidar)[1]
-    assert frame.cloud.ring is not None
     first = 0 if (lidar == "up_lidar") == low_is_up else 32
     assert np.unique(frame.cloud.ring).tolist() == list(range(first, first + 32))
     assert np.allclose(frame.camera_from_lidar, np.linalg.inv(EGO_FROM["ring_front_center"]) @ EGO_FROM[lidar])
@@ -68,12 +63,10 @@ def test_the_sweep_can_be_taken_back_to_what_the_lidar_measured(tmp_path: Path) 
     frame = dataset(Log(tmp_path, dtype=np.float32).write())[1]
     cloud = frame.cloud
     points, beam, offset_ns = measured("up_lidar", 0)
-    assert cloud.time_s is not None
     assert np.abs(cloud.time_s - (offset_ns * 1e-9 - 0.007)).max() < 1e-9
     assert np.abs(cloud.as_measured() - points).max() < 1e-3
     x, y, z = cloud.as_measured().T
     assert np.abs(np.degrees(np.arctan2(z, np.hypot(x, y))) - BEAMS_DEG[beam]).max() < 0.01
-    assert frame.twist is not None
     assert abs(np.linalg.norm(frame.twist[3:]) - np.hypot(SPEED_M_S, 0.2)) < 0.5
     assert abs(np.linalg.norm(frame.twist[:3]) - TURN_RAD_S) < 1e-6
 

@@ -9,9 +9,9 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from p2o import InputError, se3
+from p2o import InputError
 
-from .drive import pixels, through
+from .drive import check_projection, pixels, through
 from .once_files import CAR_FROM, CAR_FROM_LIDAR, SEQUENCE, SIZE, START_MS, D, K, Sequence, points, world_from_lidar
 from .opened import opened, refused
 
@@ -29,7 +29,6 @@ def test_frames_are_those_of_the_file_in_the_order_of_time(tmp_path: Path) -> No
     assert (frame.camera_name, frame.sequence, frame.time_s) == ("cam09", SEQUENCE, 0.5)
     assert (frame.camera.model, frame.camera.width, frame.camera.height) == ("FULL_OPENCV", *SIZE)
     assert np.abs(frame.image.rgb.astype(int) - 50).max() <= 2
-    assert frame.cloud.intensity is not None
     assert frame.cloud.intensity.tolist() == [float(i % 256) for i in range(600)]
     assert dataset(tmp_path / "data").names == found.names[:3]
 
@@ -42,11 +41,7 @@ def test_points_are_seen_where_opencv_projects_them(tmp_path: Path, camera: str)
         ahead = (optical[:, 2] > 1) & (np.hypot(optical[:, 0], optical[:, 1]) < optical[:, 2])
         zero = np.zeros(3)
         expected = cv2.projectPoints(optical[ahead], zero, zero, np.array(K), np.array(D[camera]))[0][:, 0]
-        assert frame.camera_from_lidar is not None
-        seen = frame.camera.project(se3.apply(frame.camera_from_lidar, frame.cloud.xyz))[ahead]
-        inside = frame.camera.in_image(expected)
-        assert inside.sum() > 20
-        assert np.abs(seen - expected)[inside].max() < 1e-4
+        check_projection(frame, expected, 20, 1e-4, ahead)
 
 
 def test_pictures_may_be_undistorted(tmp_path: Path) -> None:
@@ -54,10 +49,7 @@ def test_pictures_may_be_undistorted(tmp_path: Path) -> None:
     optical = through(np.linalg.inv(CAR_FROM["cam01"]) @ CAR_FROM_LIDAR, points(START_MS).astype(float))
     expected = pixels(optical, 60.0, 61.0, 47.2, 25.1)
     assert frame.camera.is_pinhole
-    assert frame.camera_from_lidar is not None
-    seen = frame.camera.project(se3.apply(frame.camera_from_lidar, frame.cloud.xyz))
-    inside = frame.camera.in_image(expected)
-    assert np.abs(seen - expected)[inside].max() < 1e-4
+    check_projection(frame, expected, 20, 1e-4)
 
 
 def test_poses_are_relative_to_the_first_frame_and_may_be_missing(tmp_path: Path) -> None:

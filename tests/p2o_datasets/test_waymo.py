@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from p2o import InputError, se3
 
-from .drive import car, through
+from .drive import car, check_projection, through
 from .opened import opened, refused
 from .waymo_files import (
     CAMERAS,
@@ -63,9 +63,7 @@ def test_each_image_has_the_sweep_of_its_frame(tmp_path: Path) -> None:
     assert frame.camera.params[2:4] == (47.1, 30.7)
     assert np.abs(frame.image.rgb.astype(int) - ((START_US // 100_000 + 1) * 7 + 40) % 256).max() <= 2
     assert frame.warnings == ()
-    assert frame.cloud.intensity is not None
     assert set(frame.cloud.intensity.tolist()) == {0.25}
-    assert frame.cloud.ring is not None
     assert set(frame.cloud.ring.tolist()) == set(range(ROWS))
 
 
@@ -77,11 +75,7 @@ def test_points_are_seen_where_waymo_itself_projects_them(tmp_path: Path, camera
         world = world[np.isfinite(world[:, 0])]
         pose = car(middle_s(frame_us, NUMBER[camera]))
         expected = waymo_pixels(through(np.linalg.inv(pose @ CAMERAS[NUMBER[camera]]), world)) - 0.5
-        assert frame.camera_from_lidar is not None
-        seen = frame.camera.project(se3.apply(frame.camera_from_lidar, frame.cloud.xyz))
-        inside = frame.camera.in_image(expected)
-        assert inside.sum() > 100
-        assert np.abs(seen - expected)[inside].max() < 0.01
+        check_projection(frame, expected, 100, 0.01)
 
 
 def test_a_sweep_that_stays_lies_where_the_frame_has_its_pose(tmp_path: Path) -> None:
@@ -95,7 +89,6 @@ def test_a_sweep_that_stays_lies_where_the_frame_has_its_pose(tmp_path: Path) ->
 def test_beams_of_the_rear_lidar_are_evenly_apart(tmp_path: Path) -> None:
     cloud = dataset(Segment(tmp_path).write(), lidar="REAR", moved=False)[0].cloud
     x, y, z = cloud.xyz.T
-    assert cloud.ring is not None
     angles = -0.4 + 0.6 * (np.arange(ROWS) + 0.5) / ROWS
     assert np.abs(np.arctan2(z, np.hypot(x, y)) - angles[ROWS - 1 - cloud.ring]).max() < 1e-6
 
@@ -105,7 +98,6 @@ def test_velocity_and_pose_of_the_lidar_are_those_of_the_image(tmp_path: Path) -
     at_s = middle_s(START_US, 1)
     now, later = (car(time) @ LIDARS[1] for time in (at_s, at_s + 1e-3))
     assert np.abs(frame.lidar_world_from_lidar - now).max() < 1e-3
-    assert frame.twist is not None
     assert np.abs(frame.twist - se3.log(np.linalg.inv(now) @ later) / 1e-3).max() < 0.01
 
 
@@ -196,6 +188,5 @@ def test_times_that_cannot_be_leave_the_image_at_its_pose(tmp_path: Path) -> Non
 def test_the_highest_row_is_the_highest_beam(tmp_path: Path) -> None:
     cloud = dataset(Segment(tmp_path).write(), moved=False)[0].cloud
     x, y, z = cloud.xyz.T
-    assert cloud.ring is not None
     # The car's motion during the turn leaves rings a little off their beams.
     assert np.abs(np.arctan2(z, np.hypot(x, y)) - INCLINATIONS[ROWS - 1 - cloud.ring]).max() < 0.02
