@@ -142,8 +142,8 @@ def build(options: Kitti360Options) -> Dataset:
     root = existing_folder(options.root, "KITTI-360")
     folder, expected = root / "data_2d_raw", "data_2d_raw/2013_05_28_drive_NNNN_sync"
     names = (folder if folder.is_dir() else root, "drive", "KITTI-360", options.sequences)
-    found = drives_in(*names, lambda path: bool(_SEQUENCE.fullmatch(path.name)), expected)
-    drives = [_Drive(root, path.name) for path in found]
+    folders = drives_in(*names, lambda path: bool(_SEQUENCE.fullmatch(path.name)), expected)
+    drives = [_Drive(root, path.name) for path in folders]
     cameras = chosen("camera", options.cameras, CAMERAS)
     frames = Listed()
     for drive in drives:

@@ -15,11 +15,11 @@ from pydantic import Field
 
 from p2o_sim.sensing.depth_lidar import depth_sweep
 from p2o_sim.synthetic import camera_from_lidar as mounted
+from p2o_sim.write.vkitti2 import SKY_CM
 
 _MAX_BASELINE_M = 100.0
 """Largest plausible distance between two cameras of one vehicle."""
 _FOLIAGE = ((0, 199, 0), (90, 240, 0))
-SKY_CM = 65535
 _CAMERA_IN_LIDAR = (0.27, 0.06, -0.08)
 
 

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 from p2o import Frame, Image
 
-from p2o_sim.vkitti2 import SKY_CM
 from p2o_sim.write.files import numbers, png, require, write_file
 
 _VARIATION = "Scene01/clone"
@@ -18,6 +17,8 @@ _COLOURS = {
     "TrafficLight": (200, 200, 0), "Pole": (255, 130, 0), "Misc": (80, 80, 80), "Truck": (160, 60, 60),
     "Car": (255, 127, 80), "Van": (0, 139, 139), "Undefined": (0, 0, 0),
 }  # fmt: skip
+SKY_CM = 65535
+"""Depth of the sky in files of Virtual KITTI 2, in centimetres."""
 
 
 def write(frames: Iterable[Frame], root: Path) -> Iterator[str]:
