@@ -68,6 +68,7 @@ def store_of(form: str) -> Any:
 def write_bag(root: Path, messages: Iterable[Said], form: str = "mcap", **options: Any) -> Path:
     """Write a bag below `root` and return what a user names: a .bag file, or a folder."""
     store = store_of(form)
+    root.mkdir(parents=True, exist_ok=True)
     if form == "ros1":
         path = root / "drive.bag"
         writer: Any = Writer1(path)
@@ -250,7 +251,6 @@ def messages_of(
     TF contains `drawing` (camera_from_lidar) where it is given, else the true pose.
     """
     truth = frames[0].camera_from_lidar if drawing is None else drawing
-    assert truth is not None
     said = [
         tf(
             [

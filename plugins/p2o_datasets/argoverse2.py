@@ -27,7 +27,7 @@ from p2o_datasets.arrow_file import read_feather
 from p2o_datasets.cloud_file import cloud_from_fields
 from p2o_datasets.ego_path import EgoPath, moved_cloud, nearest, pose_rows
 from p2o_datasets.kitti_folder import is_number
-from p2o_datasets.lazy_dataset import Listed, Words, cameras_field, chosen, in_drive, no_sequences, read_image
+from p2o_datasets.lazy_dataset import Listed, Words, cameras_field, chosen, drives_in, in_drive, read_image
 
 RING_CAMERAS = ("front_center", "front_left", "front_right", "side_left", "side_right", "rear_left", "rear_right")
 CAMERAS = (*(f"ring_{name}" for name in RING_CAMERAS), "stereo_front_left", "stereo_front_right")
@@ -129,26 +129,13 @@ def build(options: Argoverse2Options) -> Dataset:
     Raises InputError if there are no logs or no frames, and UnknownNameError for unknown logs and cameras.
     """
     root = existing_folder(options.root, "Argoverse 2").resolve()
-    logs = _logs(root, options.logs)
+    tables = "folders with calibration, sensors and city_SE3_egovehicle.feather"
+    logs = drives_in(root, "log", "Argoverse 2", options.logs, _is_log, tables)
     cameras = chosen("camera", options.cameras, CAMERAS)
     pairs = [pair for log in logs for camera in cameras for pair in _pairs(_Log(log), camera, options)]
     expected = f"images in sensors/cameras/{cameras[0]} and sweeps of their time in sensors/lidar"
     frames, got = Listed({pair.name: pair for pair in pairs}), f"none in {len(logs)} logs"
     return frames.lazy("Argoverse 2", root, partial(_read, options), expected=expected, got=got)
-
-
-def _logs(root: Path, wanted: Sequence[str]) -> list[Path]:
-    if _is_log(root):
-        chosen("log", wanted, (root.name,), where=root.parent)
-        return [root]
-    folders = [folder for folder in listing(root, "Argoverse 2") if folder.is_dir()]
-    logs = {folder.name: folder for folder in folders if _is_log(folder)}
-    if not logs:
-        below = [folder.name for folder in folders if any(_is_log(log) for log in listing(folder, "Argoverse 2")[:20])]
-        hint = f"give the folder of logs: {root / below[0]}" if below else None
-        expected = "folders with calibration, sensors and city_SE3_egovehicle.feather"
-        raise no_sequences("logs of Argoverse 2", root, expected, hint)
-    return [logs[name] for name in chosen("log", wanted, logs, where=root)]
 
 
 def _is_log(folder: Path) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -15,6 +15,7 @@ from p2o import InputError
 from p2o.reading import read_bytes, read_start
 
 from p2o_datasets.arrow_size import stream_size
+from p2o_datasets.lazy_dataset import damage_explained, optional_package
 
 _MAGIC = b"ARROW1\0\0"
 _MAX_BYTES = 256 << 20
@@ -119,28 +120,14 @@ class ParquetTable:
 
 
 def _arrow(path: Path) -> Any:
-    try:
-        import pyarrow
-    except ModuleNotFoundError as problem:
-        fault = "reading Feather and Parquet needs pyarrow, which is not installed"
-        raise InputError(fault, where=path, hint='run: pip install "p2o-calib[arrow]"') from problem
-    return pyarrow
+    return optional_package("pyarrow", "arrow", "Feather and Parquet", path)
 
 
-@contextmanager
-def _explained(path: Path, what: str) -> Iterator[None]:
+def _explained(path: Path, what: str) -> AbstractContextManager[None]:
     """Convert the exceptions of pyarrow for damaged files, which have many types, to InputError."""
-    import pyarrow
-
-    try:
-        yield
-    except InputError:
-        raise
-    except (pyarrow.ArrowException, OSError, ValueError, LookupError, TypeError, MemoryError, StructError) as problem:
-        fault = f"the {what} is not a table of Arrow, or is damaged"
-        expected = "Parquet" if path.suffix == ".parquet" else "Feather (Arrow IPC)"
-        got = str(problem)[:200] or type(problem).__name__
-        raise InputError(fault, where=path, expected=expected, got=got, hint="download it again") from problem
+    errors = (_arrow(path).ArrowException, OSError, ValueError, LookupError, TypeError, MemoryError, StructError)
+    expected = "Parquet" if path.suffix == ".parquet" else "Feather (Arrow IPC)"
+    return damage_explained(path, f"the {what} is not a table of Arrow, or is damaged", expected, *errors)
 
 
 def _check_names(wanted: Mapping[str, str] | Sequence[str], have: Sequence[str], path: Path, what: str) -> None:

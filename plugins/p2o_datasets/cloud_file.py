@@ -124,7 +124,7 @@ def read_points(fields: Mapping[str, Any], path: Path, clock: PointClock, scale:
         fault = "this is not a point cloud in metres"
         expected, got = f"coordinates below {FAR_M:g} m", f"{far} of {count} points farther away"
         raise InputError(fault, where=path, expected=expected, got=got, hint=_SCALE_HINT)
-    usable = usable_points(columns)
+    usable = usable_points(xyz)
     warnings: list[str] = []
     per_point: dict[str, Any] = {}
     used: list[str] = []

@@ -31,6 +31,7 @@ from p2o_formats.plain_text import states_quaternion
 from pydantic import Field
 
 from p2o_datasets.cloud_file import NAMED_SUFFIXES, read_fields, read_points
+from p2o_datasets.lazy_dataset import file_inside
 from p2o_datasets.point_fields import PointClock, Unit
 
 FRAME_FILE = "frame.yaml"
@@ -359,18 +360,7 @@ def _file(
 
 
 def _inside(root: Path, folder: Path, name: str) -> Path:
-    """Return the path of a file name of frame.yaml; raises InputError if it, links followed, leaves the root."""
-    path = folder / name
-    try:
-        inside = path.resolve().is_relative_to(root)
-    except (OSError, RuntimeError, ValueError) as problem:
-        raise InputError(f"bad file name {name!r}", where=folder / FRAME_FILE) from problem
-    if not inside:
-        fault = f"the path '{name}' leaves the folder of the data set"
-        got = path.resolve()
-        hint = "copy the file into the folder"
-        raise InputError(fault, where=folder / FRAME_FILE, expected=f"a file below {root}", got=got, hint=hint)
-    return path
+    return file_inside(root, folder, name, folder / FRAME_FILE)
 
 
 METHOD = p2o.Method(

@@ -9,9 +9,8 @@ The public scripts ignore p1 and p2 of the fisheyes, which are part of the model
 
 from __future__ import annotations
 
-import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -20,13 +19,14 @@ from typing import Any
 
 import numpy as np
 from p2o import Camera, Dataset, Float, Frame, InputError, Method, Options, field, se3
-from p2o.reading import existing_folder, listing, naming, parse_yaml, read_text
+from p2o.reading import existing_folder, naming, parse_yaml, read_text
+from p2o.reading import numbers as numbers_in
 from p2o_formats.kitti_calibration import calibration_of, read_calibration, rectified_camera
 
 from p2o_datasets import lazy_dataset
 from p2o_datasets.ego_path import EgoPath
-from p2o_datasets.kitti_folder import images_in, is_number, paired, read_stamps, sweeps
-from p2o_datasets.lazy_dataset import Listed, Words, cameras_field, chosen, finite_number, in_drive, no_sequences
+from p2o_datasets.kitti_folder import add_pairs, is_number, read_stamps, sweeps
+from p2o_datasets.lazy_dataset import Listed, Words, cameras_field, chosen, drives_in, finite_number, in_drive
 from p2o_datasets.mei_camera import MeiLens, mei_camera
 from p2o_datasets.velodyne_file import SWEEP_S, compensated, read_sweep
 
@@ -123,14 +123,11 @@ def _pose_lines(path: Path) -> tuple[list[int], Float]:
         words = line.split()
         if not words:
             continue
-        try:
-            values = np.array(words[1:], dtype=np.float64)
-        except ValueError:
-            values = np.empty(0)
-        if values.size != 12 or not is_number(words[0]) or len(words[0]) > 10:
+        values = numbers_in(words[1:], (3, 4))
+        if values is None or not is_number(words[0]) or len(words[0]) > 10:
             fault = f"line {place} of the file of poses is not a pose"
             raise InputError(fault, where=path, expected="a frame's number and 12 numbers", got=line[:60])
-        pose = np.vstack([values.reshape(3, 4), [0, 0, 0, 1]])
+        pose = np.vstack([values, [0, 0, 0, 1]])
         numbers.append(int(words[0]))
         poses.append(se3.check_rigid(f"the pose of frame {words[0]}", pose, where=path, tolerance=1e-2))
     return numbers, np.array(poses).reshape(-1, 4, 4)
@@ -143,29 +140,20 @@ def build(options: Kitti360Options) -> Dataset:
     and UnknownNameError for unknown drives and cameras.
     """
     root = existing_folder(options.root, "KITTI-360")
-    drives = _drives(root, options.sequences)
+    folder, expected = root / "data_2d_raw", "data_2d_raw/2013_05_28_drive_NNNN_sync"
+    names = (folder if folder.is_dir() else root, "drive", "KITTI-360", options.sequences)
+    folders = drives_in(*names, lambda path: bool(_SEQUENCE.fullmatch(path.name)), expected)
+    drives = [_Drive(root, path.name) for path in folders]
     cameras = chosen("camera", options.cameras, CAMERAS)
     frames = Listed()
     for drive in drives:
         clouds = sweeps(drive.sweeps / "data")
         for camera in cameras:
-            folder = drive.images(camera) / CAMERAS[camera]
-            names, prefix = (str(folder), str(drive.sweeps / "data")), f"{drive.name}/{camera}/"
-            both, without = paired(images_in(folder), clouds, root, *names, prefix)
-            frames.entries.update({name: (drive, camera, *files) for name, (_, *files) in both.items()})
-            frames.skipped.update(without)
+            image_folder, cloud_folder = drive.images(camera) / CAMERAS[camera], drive.sweeps / "data"
+            add_pairs(frames, image_folder, cloud_folder, f"{drive.name}/{camera}/", (drive, camera), clouds=clouds)
     expected = f"data_2d_raw/DRIVE/{cameras[0]}/{CAMERAS[cameras[0]]} and data_3d_raw/DRIVE/velodyne_points/data"
     got = f"{len(drives)} drives without images and sweeps"
     return frames.lazy("KITTI-360", root, partial(_read, options), expected=expected, got=got)
-
-
-def _drives(root: Path, wanted: Sequence[str]) -> list[_Drive]:
-    folder = root / "data_2d_raw"
-    inside = listing(folder, "KITTI-360") if os.path.isdir(folder) else []
-    names = [path.name for path in inside if _SEQUENCE.fullmatch(path.name) and path.is_dir()]
-    if not names:
-        raise no_sequences("drives of KITTI-360", root, "data_2d_raw/2013_05_28_drive_NNNN_sync")
-    return [_Drive(root, name) for name in chosen("drive", wanted, names, where=folder)]
 
 
 def _read(options: Kitti360Options, entry: tuple[_Drive, str, Path, Path]) -> Frame:

@@ -6,12 +6,15 @@ import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from p2o import Float, Image, InputError
 from p2o.reading import RadialError, listing, naming, read_rgb, read_text, read_uint16
 from p2o_formats.kitti_calibration import MAX_BASELINE_M, baseline_m, rectified_camera, refuse_cut_off
+
+from p2o_datasets.lazy_dataset import Listed
 
 _IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
 
@@ -39,34 +42,31 @@ def sweeps(folder: Path) -> Mapping[str, Path]:
     return _by_id(folder, (".txt", ".bin"))
 
 
-def paired(
-    images: Mapping[str, Path],
-    clouds: Mapping[str, Path],
-    folder: Path,
-    image_folder: str,
-    cloud_folder: str,
+def add_pairs(
+    frames: Listed,
+    image_folder: Path,
+    cloud_folder: Path,
     prefix: str = "",
+    drive: tuple[Any, ...] = (),
     *,
+    clouds: Mapping[str, Path] | None = None,
     numbered: bool = True,
-) -> tuple[dict[str, tuple[str, Path, Path]], dict[str, str]]:
-    """Return (name, image, sweep) by name for ids with both files, and the missing file by name for other ids.
+) -> None:
+    """Add the entries (*drive, image, sweep) of ids with both files to the frames, and skip other ids with the reason.
 
-    Names are the ids with `prefix`. `folder`, `image_folder` and `cloud_folder` only appear in messages. If the ids are
-    `numbered`, files with other names are skipped, too.
+    Names are the ids with `prefix`. `clouds` are the sweeps by the ids of their images (default: those of the folder).
+    If the ids are `numbered`, files with other names are skipped, too.
     """
-    entries: dict[str, tuple[str, Path, Path]] = {}
-    skipped: dict[str, str] = {}
+    images, clouds = images_in(image_folder), sweeps(cloud_folder) if clouds is None else clouds
     for frame in sorted({*images, *clouds}):
-        name = prefix + frame
+        reason = ""
         if numbered and not is_number(frame):
-            skipped[name] = f"{images.get(frame, clouds.get(frame))}: the name of the file is not a number"
+            reason = f"{images.get(frame, clouds.get(frame))}: the name of the file is not a number"
         elif frame not in clouds:
-            skipped[name] = f"{folder / cloud_folder / frame}.bin is missing"
+            reason = f"{cloud_folder / frame}.bin is missing"
         elif frame not in images:
-            skipped[name] = f"{folder / image_folder / frame}.png is missing"
-        else:
-            entries[name] = (name, images[frame], clouds[frame])
-    return entries, skipped
+            reason = f"{image_folder / frame}.png is missing"
+        frames.add(prefix + frame, (*drive, images.get(frame), clouds.get(frame)), reason)
 
 
 def _by_id(folder: Path, suffixes: tuple[str, ...]) -> Mapping[str, Path]:

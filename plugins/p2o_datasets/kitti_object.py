@@ -10,7 +10,7 @@ from p2o import Dataset, Frame, Method, Options, field
 from p2o.reading import existing_folder
 from p2o_formats.kitti_calibration import read_calibration, rectified_extrinsic
 
-from p2o_datasets.kitti_folder import image_in, images_in, paired, read_rectified, sweeps
+from p2o_datasets.kitti_folder import add_pairs, image_in, read_rectified
 from p2o_datasets.lazy_dataset import Listed
 from p2o_datasets.velodyne_file import IMAGE_DELAY_S, NOT_UNTWISTED, SWEEP_S, read_sweep
 
@@ -28,14 +28,15 @@ def build(options: KittiObjectOptions) -> Dataset:
     """Return the frames of a KITTI object folder by frame id; raises InputError without a frame."""
     root = existing_folder(options.root, "KITTI object frames")
     folder = root / "training" if (root / "training").is_dir() else root
-    images, clouds = images_in(folder / "image_2"), sweeps(folder / "velodyne")
-    frames = Listed(*paired(images, clouds, folder, "image_2", "velodyne", numbered=False))
+    frames = Listed()
+    add_pairs(frames, folder / "image_2", folder / "velodyne", numbered=False)
     expected = "frames with image_2/ID.png and velodyne/ID.bin"
     return frames.lazy("KITTI object", folder, partial(_read, folder, options), expected=expected)
 
 
-def _read(folder: Path, options: KittiObjectOptions, entry: tuple[str, Path, Path]) -> Frame:
-    name, image_path, sweep_path = entry
+def _read(folder: Path, options: KittiObjectOptions, entry: tuple[Path, Path]) -> Frame:
+    image_path, sweep_path = entry
+    name = image_path.stem
     calibration = read_calibration(folder / "calib" / f"{name}.txt")
     projection = calibration.projection("P2")
     camera0_from_lidar = calibration.rigid_12("Tr_velo_to_cam")

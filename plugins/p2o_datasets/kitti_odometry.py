@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 from p2o import Dataset, Float, Frame, InputError, Method, Options, field, se3
-from p2o.reading import existing_folder, read_text
+from p2o.reading import existing_folder, numbers, read_text
 from p2o_formats.kitti_calibration import camera_offset, read_calibration, rectified_extrinsic, refuse_cut_off
 
-from p2o_datasets.kitti_folder import image_in, images_in, paired, read_rectified, sweeps
+from p2o_datasets.kitti_folder import add_pairs, image_in, read_rectified
 from p2o_datasets.lazy_dataset import Listed
 from p2o_datasets.velodyne_file import read_sweep
 
@@ -37,18 +37,15 @@ def build(options: KittiOdometryOptions) -> Dataset:
     frames = Listed()
     image_folder = f"image_{options.camera}"
     for sequence in sequences:
-        images, prefix = images_in(sequence / image_folder), f"{sequence.resolve().name}/"
-        clouds = sweeps(sequence / "velodyne")
-        both, without = paired(images, clouds, sequence, image_folder, "velodyne", prefix=prefix)
-        frames.entries.update(both)
-        frames.skipped.update(without)
+        add_pairs(frames, sequence / image_folder, sequence / "velodyne", f"{sequence.resolve().name}/")
     expected = f"frames with NN/{image_folder}/ID.png and NN/velodyne/ID.bin"
     return frames.lazy("KITTI odometry", folder, partial(_read, options), expected=expected)
 
 
-def _read(options: KittiOdometryOptions, entry: tuple[str, Path, Path]) -> Frame:
-    name, image_path, sweep_path = entry
+def _read(options: KittiOdometryOptions, entry: tuple[Path, Path]) -> Frame:
+    image_path, sweep_path = entry
     sequence = sweep_path.parents[1]
+    name = f"{sequence.resolve().name}/{image_path.stem}"
     calibration = read_calibration(sequence / "calib.txt")
     projection = calibration.projection(f"P{options.camera}")
     right = None
@@ -107,11 +104,8 @@ def _line(path: Path, what: str, frame: int, count: int) -> Float | None:
         refuse_cut_off(text, path)
     if frame >= len(lines):
         return None
-    try:
-        values = np.array(lines[frame].split(), dtype=np.float64)
-    except ValueError:
-        values = np.empty(0)
-    if values.size != count or not np.isfinite(values).all():
+    values = numbers(lines[frame].split(), (count,))
+    if values is None:
         got = lines[frame].strip()[:60] or "none"
         raise InputError(f"line {frame + 1} of the {what} does not contain {count} finite numbers", where=path, got=got)
     return values

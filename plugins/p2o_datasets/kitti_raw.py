@@ -11,8 +11,8 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from p2o import Camera, Dataset, Float, Frame, Image, InputError, Method, Options, field, se3
-from p2o.reading import RadialError, existing_folder, naming
+from p2o import Dataset, Float, Frame, Image, InputError, Method, Options, field, se3
+from p2o.reading import RadialError, existing_folder
 from p2o_formats.kitti_calibration import KittiCalibration, read_calibration, rectified_extrinsic
 from pydantic import Field, field_validator
 
@@ -87,14 +87,9 @@ def build(options: KittiRawOptions) -> Dataset:
     frames = Listed()
     image_folder = f"image_{options.camera:02d}"
     for drive in sorted(drives.values(), key=lambda drive: drive.name):
-        images = images_in(drive.folder / image_folder / "data")
-        clouds = kitti_folder.sweeps(drive.folder / "velodyne_points/data")
-        if not drive.synchronised:
-            clouds = _nearest_in_time(drive.folder, image_folder, images, clouds)
-        folders = (f"{image_folder}/data", "velodyne_points/data")
-        both, without = kitti_folder.paired(images, clouds, drive.folder, *folders, prefix=f"{drive.name}/")
-        frames.entries.update({name: (drive, image, sweep) for name, (_, image, sweep) in both.items()})
-        frames.skipped.update(without)
+        clouds = None if drive.synchronised else _nearest_in_time(drive.folder, image_folder)
+        folders = (drive.folder / image_folder / "data", drive.folder / "velodyne_points/data")
+        kitti_folder.add_pairs(frames, *folders, f"{drive.name}/", (drive,), clouds=clouds)
     expected = f"DATE/DATE_drive_NNNN_sync with {image_folder}/data and velodyne_points/data"
     got = f"{len(drives)} drives" if drives else "no drive"
     return frames.lazy("KITTI raw", root, partial(_read, options), expected=expected, got=got)
@@ -154,12 +149,9 @@ def _unrectified(
 ) -> tuple[Image, tuple[str, ...], Float]:
     """Return image, warnings and camera_from_lidar of an `_extract` drive, with lens distortion."""
     number = f"{options.camera:02d}"
-    (fx, _, cx), (_, fy, cy), _ = cameras.numbers(f"K_{number}", (3, 3)).tolist()
-    k1, k2, p1, p2, k3 = cameras.numbers(f"D_{number}", (5,)).tolist()
-    width, height = cameras.size(f"S_{number}")
-    with naming(cameras.path):
-        camera = Camera("FULL_OPENCV", width, height, (fx, fy, cx, cy, k1, k2, p1, p2, k3, 0, 0, 0))
-    return *read_image(path, camera), cameras.rigid(f"R_{number}", f"T_{number}") @ cam0_from_lidar
+    camera, remarks = cameras.distorted_camera(number, cameras.size(f"S_{number}"))
+    image, warnings = read_image(path, camera)
+    return image, (*warnings, *remarks), cameras.rigid(f"R_{number}", f"T_{number}") @ cam0_from_lidar
 
 
 def _image_delay_s(options: KittiRawOptions, image_path: Path, sweep_path: Path) -> float:
@@ -229,14 +221,13 @@ def _after_packet_s(drive: _Drive, number: int, image_path: Path, sweep_path: Pa
     return later_s if abs(later_s) < SWEEP_S else None
 
 
-def _nearest_in_time(
-    drive: Path, image_folder: str, images: Mapping[str, Path], clouds: Mapping[str, Path]
-) -> Mapping[str, Path]:
+def _nearest_in_time(drive: Path, image_folder: str) -> Mapping[str, Path]:
     """Return the sweep of each image id of an unsynchronised drive by the nearest time stamp."""
     image_stamps = read_stamps(drive / image_folder / "timestamps.txt")
     cloud_stamps = read_stamps(drive / "velodyne_points/timestamps.txt")
+    clouds = kitti_folder.sweeps(drive / "velodyne_points/data")
     pairs: dict[str, Path] = {}
-    for name in images:
+    for name in images_in(drive / image_folder / "data"):
         if not is_number(name) or int(name) >= len(image_stamps):
             continue
         nearest = _nearest(cloud_stamps, image_stamps[int(name)])

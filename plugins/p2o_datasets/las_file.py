@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from p2o import InputError
 
+from p2o_datasets.lazy_dataset import optional_package
 from p2o_datasets.number_text import MAX_POINTS
 
 _MAGIC = b"LASF"
@@ -33,11 +34,7 @@ def read_las(data: bytes, path: Path) -> Mapping[str, Any]:
     Raises InputError without laspy, for headers that contradict the file size, and for damaged files.
     """
     _check_header(data, path)
-    try:
-        import laspy
-    except ModuleNotFoundError as problem:
-        fault = "reading .las and .laz needs laspy, which is not installed"
-        raise InputError(fault, where=path, hint='run: pip install "p2o-calib[las]"') from problem
+    laspy = optional_package("laspy", "las", ".las and .laz", path)
     plain = _unpacked(data, path) if _compressed(data) else data
     try:
         las = laspy.read(io.BytesIO(plain))

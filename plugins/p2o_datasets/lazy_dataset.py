@@ -1,9 +1,11 @@
-"""Select names of a data set, resolve its file names, build frames that are read on demand, and report missing ones."""
+"""Select drives and names of a data set, resolve its file names, and build frames that are read on demand."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable
+import importlib
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -45,11 +47,18 @@ def cameras_field(default: str, cameras: Iterable[str]) -> Any:
     return field((default,), min_length=1, help=f"Cameras, separated by commas, or all: {', '.join(cameras)}.")
 
 
-def read_image(path: Path, camera: Camera) -> tuple[Image, tuple[str, ...]]:
-    """Return the image of a camera, and warnings; raises InputError, with the file, if it does not fit the camera."""
-    rgb, warnings = read_rgb(path, (camera.width, camera.height))
+def read_image(path: Path, camera: Camera | Callable[[int, int], Camera]) -> tuple[Image, tuple[str, ...]]:
+    """Return the image of a camera, and warnings.
+
+    The camera may be a function of width and height in px. Raises InputError, with the file, if the image does not fit
+    the camera.
+    """
+    if isinstance(camera, Camera):
+        rgb, warnings = read_rgb(path, (camera.width, camera.height))
+    else:
+        rgb, warnings = read_rgb(path)
     with naming(path):
-        return Image(rgb, camera), warnings
+        return Image(rgb, camera if isinstance(camera, Camera) else camera(rgb.shape[1], rgb.shape[0])), warnings
 
 
 def in_drive(sequence: str, camera_name: str, time_s: float | None, pose: Float | None) -> dict[str, Any]:
@@ -65,6 +74,25 @@ def finite_number(value: Any, name: str, path: Path) -> float:
     if not isinstance(value, int | float) or isinstance(value, bool) or not abs(value) < 1e300:
         raise InputError(f"{name} is not a number", where=path, expected="a finite number", got=str(value)[:40])
     return value
+
+
+def drives_in(
+    root: Path, noun: str, title: str, wanted: Iterable[str], is_drive: Callable[[Path], bool], expected: str
+) -> list[Path]:
+    """Return the folders of the wanted drives in a folder, which may be a drive itself; `noun` is what they are called.
+
+    Raises InputError without drives, and UnknownNameError for an unknown name.
+    """
+    if is_drive(root):
+        chosen(noun, wanted, (root.name,), where=root.parent)
+        return [root]
+    folders = [folder for folder in listing(root, title) if folder.is_dir()]
+    drives = {folder.name: folder for folder in folders if is_drive(folder)}
+    if not drives:
+        below = [folder for folder in folders if any(map(is_drive, listing(folder, title)[:20]))]
+        hint = f"give the folder of {noun}s: {below[0]}" if below else None
+        raise no_sequences(f"{noun}s of {title}", root, expected, hint)
+    return [drives[name] for name in chosen(noun, wanted, drives, where=root)]
 
 
 def no_sequences(title: str, folder: Path, expected: str, hint: str | None = None) -> InputError:
@@ -96,16 +124,39 @@ def chosen(kind: str, wanted: Iterable[str], known: Iterable[str], where: Path |
     return names
 
 
-def file_inside(root: Path, name: str) -> Path:
-    """Return the path of a file in the resolved folder `root`.
+def file_inside(root: Path, folder: Path, name: str, where: Path) -> Path:
+    """Return the path of a file in a folder of the data set, whose resolved folder is `root`.
 
-    Raises InputError if the path, after resolving links, is outside the folder.
+    Raises InputError if the path, after resolving links, is outside the root; `where` is the file that names it.
     """
-    path = root / name
+    path = folder / name
     try:
         inside = path.resolve().is_relative_to(root)
     except (OSError, RuntimeError, ValueError) as problem:
-        raise InputError("a table contains an invalid file name", where=root, got=ascii(name)[:80]) from problem
+        raise InputError(f"bad file name {ascii(name)[:80]}", where=where) from problem
     if not inside:
-        raise InputError("a file named in a table is outside the folder", where=root, got=name[:200])
+        fault = f"the path '{name[:200]}' leaves the folder of the data set"
+        hint = "copy the file into the folder"
+        raise InputError(fault, where=where, expected=f"a file below {root}", got=path.resolve(), hint=hint)
     return path
+
+
+@contextmanager
+def damage_explained(path: Path, fault: str, expected: str, *errors: type[BaseException]) -> Iterator[None]:
+    """Convert the exceptions of a reader for damaged bytes to InputError."""
+    try:
+        yield
+    except InputError:
+        raise
+    except errors as problem:
+        got = str(problem)[:200] or type(problem).__name__
+        raise InputError(fault, where=path, expected=expected, got=got, hint="download it again") from problem
+
+
+def optional_package(name: str, extra: str, what: str, path: Path) -> Any:
+    """Return a module that an extra of p2o installs; raises InputError, with `what` needs it, if it is missing."""
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as problem:
+        fault = f"reading {what} needs {name}, which is not installed"
+        raise InputError(fault, where=path, hint=f'run: pip install "p2o-calib[{extra}]"') from problem

@@ -15,7 +15,7 @@ from p2o.reading import existing_folder, listing
 from p2o_formats.camera_entry import read_camera
 
 from p2o_datasets.cloud_file import read_cloud
-from p2o_datasets.ego_path import moved_cloud
+from p2o_datasets.ego_path import moved_cloud, nearest
 from p2o_datasets.lazy_dataset import Listed, Words, cameras_field, chosen, file_inside, in_drive, read_image
 from p2o_datasets.nuscenes_tables import by_token, matrix_of, named, number_of, pose_of, records, text_of
 
@@ -160,8 +160,7 @@ def _pairs(files: Sequence[_File], options: NuscenesOptions) -> list[tuple[_File
             continue
         sweep = sweeps.get(image.sample) if image.is_key else None
         if sweep is None and options.between and image.scene in times:
-            nearest = int(np.abs(times[image.scene] - image.time_us).argmin())
-            sweep = ordered[image.scene][nearest]
+            sweep = ordered[image.scene][int(nearest(times[image.scene], np.array([image.time_us]))[0])]
             sweep = sweep if abs(sweep.time_us - image.time_us) <= _SAME_MOMENT else None
         if sweep is not None:
             pairs.append((image, sweep))
@@ -177,7 +176,8 @@ def _read(source: _Source, pair: tuple[_File, _File]) -> Frame:
     ego_from_camera = pose_of(camera_record, calibrated)
     ego_from_lidar = pose_of(named(source.sensors, sweep_file.sensor, calibrated), calibrated)
     now, then = (pose_of(named(source.poses, file.ego_pose, poses), poses) for file in (image_file, sweep_file))
-    image_path, sweep_path = (file_inside(source.root, file.file) for file in (image_file, sweep_file))
+    table = source.tables / "sample_data.json"
+    image_path, sweep_path = (file_inside(source.root, source.root, f.file, table) for f in (image_file, sweep_file))
     image, warnings = read_image(image_path, camera)
     cloud, cloud_warnings = read_cloud(sweep_path, columns=_COLUMNS)
     world_from_lidar = now @ ego_from_lidar

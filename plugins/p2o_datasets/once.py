@@ -17,15 +17,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from p2o import Camera, Dataset, Float, Frame, Image, InputError, Method, Options, UnknownNameError, field, se3
-from p2o.reading import existing_folder, listing, naming, numbers, parse_json, read_pose, read_rgb, read_text
+from p2o import Camera, Dataset, Float, Frame, InputError, Method, Options, UnknownNameError, field, se3
+from p2o.reading import existing_folder, numbers, parse_json, read_pose, read_text
 from p2o_formats.camera_entry import read_camera
+from p2o_formats.kitti_calibration import check_centre
 
 from p2o_datasets.bin_file import KITTI_COLUMNS
 from p2o_datasets.cloud_file import read_cloud
 from p2o_datasets.ego_path import pose_rows
 from p2o_datasets.kitti_folder import is_number
-from p2o_datasets.lazy_dataset import Listed, Words, cameras_field, chosen, file_inside, in_drive, no_sequences
+from p2o_datasets.lazy_dataset import Listed, Words, cameras_field, chosen, drives_in, file_inside, in_drive, read_image
 
 CAMERAS = ("cam01", "cam03", "cam05", "cam06", "cam07", "cam08", "cam09")
 _LIDAR = "lidar_roof"
@@ -95,12 +96,13 @@ def build(options: OnceOptions) -> Dataset:
 
 
 def _sequences(root: Path, wanted: Sequence[str]) -> list[_Sequence]:
-    home = root / "data" if os.path.isdir(root / "data") else root
-    files = {folder.name: folder / f"{folder.name}.json" for folder in listing(home, "ONCE") if folder.is_dir()}
-    paths = {name: path for name, path in files.items() if os.path.isfile(path)}
-    if not paths:
-        raise no_sequences("sequences of ONCE", home, "folders such as 000027 with 000027.json")
-    return [_sequence(paths[name]) for name in chosen("sequence", wanted, paths, where=home)]
+    home, expected = root / "data" if os.path.isdir(root / "data") else root, "folders such as 000027 with 000027.json"
+    folders = drives_in(home, "sequence", "ONCE", wanted, lambda folder: os.path.isfile(_file(folder)), expected)
+    return [_sequence(_file(folder)) for folder in folders]
+
+
+def _file(folder: Path) -> Path:
+    return folder / f"{folder.name}.json"
 
 
 def _sequence(path: Path) -> _Sequence:
@@ -124,11 +126,10 @@ def _id(record: Mapping[str, Any], path: Path) -> str:
 
 def _read(options: OnceOptions, shot: _Shot) -> Frame:
     sequence = shot.sequence
-    image_path, sweep_path = (file_inside(sequence.path.parent.resolve(), file) for file in shot.files)
-    rgb, warnings = read_rgb(image_path)
-    camera, lidar_from_camera = _camera(options, shot, image_path, (rgb.shape[1], rgb.shape[0]))
-    with naming(image_path):
-        image = Image(rgb, camera)
+    folder = sequence.path.parent
+    image_path, sweep_path = (file_inside(folder.resolve(), folder, file, sequence.path) for file in shot.files)
+    entry, lidar_from_camera = _mounted(shot)
+    image, warnings = read_image(image_path, partial(_camera, options, shot, entry))
     cloud, cloud_warnings = read_cloud(sweep_path, columns=KITTI_COLUMNS)
     first = _id(sequence.frames[0], sequence.path)
     pose = _pose(sequence.frames[shot.number], shot.id, sequence.path)
@@ -137,21 +138,23 @@ def _read(options: OnceOptions, shot: _Shot) -> Frame:
     return Frame(shot.name, image, cloud, camera_from_lidar=extrinsic, warnings=warnings, **drive)
 
 
-def _camera(options: OnceOptions, shot: _Shot, image: Path, size: tuple[int, int]) -> tuple[Camera, Float]:
-    """Return the camera of an image of width x height px, and lidar_from_camera (4, 4)."""
+def _mounted(shot: _Shot) -> tuple[Mapping[str, Any], Float]:
+    """Return the entry of a camera, and lidar_from_camera (4, 4)."""
     path = shot.sequence.path
     if shot.camera not in shot.sequence.calibration:
         raise UnknownNameError("camera", shot.camera, map(str, shot.sequence.calibration), where=path)
     entry = shot.sequence.calibration[shot.camera]
     if not isinstance(entry, Mapping):
         raise InputError(f"calib.{shot.camera} is not an object", where=path, expected="cam_to_velo, cam_intrinsic")
-    pose, _ = read_pose(f"calib.{shot.camera}.cam_to_velo", entry.get("cam_to_velo"), path)
-    matrix = numbers(entry.get("cam_intrinsic"), (3, 3))
-    if matrix is not None and not (0 <= matrix[0, 2] < size[0] and 0 <= matrix[1, 2] < size[1]):
-        expected = f"the principal point ({matrix[0, 2]:.0f}, {matrix[1, 2]:.0f}) inside the image"
-        got = f"{size[0]}x{size[1]} px"
-        raise InputError("the image size does not fit the camera", where=image, expected=expected, got=got)
-    camera: dict[str, Any] = {"width": size[0], "height": size[1], "K": entry.get("cam_intrinsic")}
+    return entry, read_pose(f"calib.{shot.camera}.cam_to_velo", entry.get("cam_to_velo"), path)[0]
+
+
+def _camera(options: OnceOptions, shot: _Shot, entry: Mapping[str, Any], width: int, height: int) -> Camera:
+    """Return the camera of an image of width x height px."""
+    path, matrix = shot.sequence.path, numbers(entry.get("cam_intrinsic"), (3, 3))
+    if matrix is not None:
+        check_centre(matrix, width, height)
+    camera: dict[str, Any] = {"width": width, "height": height, "K": entry.get("cam_intrinsic")}
     if options.distorted:
         d = numbers(entry.get("distortion"), (4,), (5,), (8,), (12,), (14,))
         if d is None:
@@ -160,7 +163,7 @@ def _camera(options: OnceOptions, shot: _Shot, image: Path, size: tuple[int, int
             raise InputError(f"calib.{shot.camera}.distortion is invalid", where=path, expected=expected, got=got)
         model = "plumb_bob" if len(d) <= 5 else "rational_polynomial"
         camera |= {"distortion_model": model, "D": d.tolist()}
-    return read_camera(camera, path), pose
+    return read_camera(camera, path)
 
 
 def _pose(record: Mapping[str, Any], name: str, path: Path) -> Float | None:

@@ -17,14 +17,23 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from p2o import Camera, Cloud, Dataset, Float, Frame, Image, InputError, Int, Method, Options, field, se3
-from p2o.reading import existing_folder, listing, naming, parse_json, read_rgb, read_text
+from p2o import Cloud, Dataset, Float, Frame, InputError, Int, Method, Options, field, se3
+from p2o.reading import existing_folder, listing, parse_json, read_text
 from p2o_formats.kitti_calibration import rectified_camera
 
 from p2o_datasets.cloud_file import cloud_from_fields
 from p2o_datasets.ego_path import EgoPath, moved_cloud, pose_rows
 from p2o_datasets.kitti_folder import is_number
-from p2o_datasets.lazy_dataset import Listed, Words, cameras_field, chosen, finite_number, in_drive, no_sequences
+from p2o_datasets.lazy_dataset import (
+    Listed,
+    Words,
+    cameras_field,
+    chosen,
+    drives_in,
+    finite_number,
+    in_drive,
+    read_image,
+)
 from p2o_datasets.pickled_table import read_pickled_table
 
 CAMERAS = tuple(f"{place}_camera" for place in ("front", "front_left", "front_right", "left", "right", "back"))
@@ -86,12 +95,12 @@ class _Sensor:
         return EgoPath(self.time_ns, self.poses, where)
 
     @cached_property
-    def lens(self) -> tuple[float, float, float, float]:
-        """Focal lengths and principal point of a camera in px."""
+    def projection(self) -> Float:
+        """Projection (3, 4) of a camera, in px."""
         path = self.folder / "intrinsics.json"
         content = parse_json(read_text(path, "file of intrinsics"), "file of intrinsics", path)
         fx, fy, cx, cy = (_number(content, key, path) for key in ("fx", "fy", "cx", "cy"))
-        return fx, fy, cx, cy
+        return np.array([[fx, 0, cx, 0], [0, fy, cy, 0], [0, 0, 1, 0]])
 
     def file(self, frame: str, suffixes: Sequence[str]) -> Path | None:
         """Return the file of a frame, or None."""
@@ -158,7 +167,8 @@ def build(options: PandasetOptions) -> Dataset:
     root = existing_folder(options.root, "PandaSet").resolve()
     cameras = chosen("camera", options.cameras, CAMERAS)
     frames = Listed()
-    for folder in _folders(root, options.sequences):
+    folders = "folders such as 001 with camera and lidar"
+    for folder in drives_in(root, "sequence", "PandaSet", options.sequences, _is_sequence, folders):
         sequence = _Sequence(folder, _Sensor(folder / "lidar"))
         for camera in cameras:
             rig = _Rig(sequence, _Sensor(folder / "camera" / camera))
@@ -169,16 +179,6 @@ def build(options: PandasetOptions) -> Dataset:
     expected = f"images in camera/{cameras[0]} and sweeps in lidar"
     got = "sequences without such images"
     return frames.lazy("PandaSet", root, partial(_read, options), expected=expected, got=got)
-
-
-def _folders(root: Path, wanted: Sequence[str]) -> list[Path]:
-    if _is_sequence(root):
-        chosen("sequence", wanted, (root.name,), where=root.parent)
-        return [root]
-    folders = {folder.name: folder for folder in listing(root, "PandaSet") if _is_sequence(folder)}
-    if not folders:
-        raise no_sequences("sequences of PandaSet", root, "folders such as 001 with camera and lidar")
-    return [folders[name] for name in chosen("sequence", wanted, folders, where=root)]
 
 
 def _is_sequence(folder: Path) -> bool:
@@ -196,10 +196,7 @@ def _read(options: PandasetOptions, entry: tuple[_Rig, str, Path, Path]) -> Fram
     lidar = sequence.lidar.path
     image_ns, _ = _at(rig.camera, int(number))
     sweep_ns, _ = _at(sequence.lidar, int(number))
-    rgb, warnings = read_rgb(image_path)
-    camera = _camera(rig.camera, rgb.shape[1], rgb.shape[0], image_path)
-    with naming(image_path):
-        image = Image(rgb, camera)
+    image, warnings = read_image(image_path, partial(rectified_camera, rig.camera.projection))
     mounting, remark = rig.mounting
     now = lidar.at(image_ns)
     moment_ns = image_ns if options.moved else sweep_ns
@@ -222,12 +219,6 @@ def _at(sensor: _Sensor, frame: int) -> tuple[int, Float]:
         got = len(path.time_ns)
         raise InputError("there is no pose of the frame", where=where, expected=f"more than {frame} poses", got=got)
     return int(path.time_ns[frame]), path.world_from_body[frame]
-
-
-def _camera(sensor: _Sensor, width: int, height: int, image: Path) -> Camera:
-    fx, fy, cx, cy = sensor.lens
-    with naming(image):
-        return rectified_camera(np.array([[fx, 0, cx, 0], [0, fy, cy, 0], [0, 0, 1, 0]]), width, height)
 
 
 def _sweep(

@@ -71,12 +71,9 @@ def unused_fields(fields: Mapping[str, Any], used: Sequence[str]) -> tuple[str, 
     return tuple(name for name in fields if name not in "xyz" and name not in used and name != "xyz")
 
 
-def usable_points(columns: Mapping[str, Any]) -> Bool:
-    """Return the mask (N,) of points that are finite and not all zero, which marks missing returns."""
-    with np.errstate(invalid="ignore", over="ignore"):
-        xyz = np.stack([np.asarray(columns[axis], np.float64) for axis in "xyz"])
-    usable: Bool = np.asarray(np.isfinite(xyz).all(axis=0) & xyz.any(axis=0))
-    return usable
+def usable_points(xyz: Float) -> Bool:
+    """Return the mask (N,) of points (N, 3) that are finite and not all zero, which marks missing returns."""
+    return np.asarray(np.isfinite(xyz).all(axis=1) & xyz.any(axis=1))
 
 
 def not_finite(value: Any) -> str | None:

@@ -11,16 +11,16 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from p2o import InputError
 from p2o.reading import read_start
 
+from p2o_datasets.lazy_dataset import damage_explained
 from p2o_datasets.waymo_range_image import LENS, MAX_PIXELS, SHUTTER, STAMPS, VELOCITY, grid
 
 SUFFIX = ".tfrecord"
@@ -142,16 +142,11 @@ class RecordSegment:
             values, sizes = matrix.reals(1, "<f4"), matrix.inner(2).wholes(1)
         return grid(values, sizes, channels, where)
 
-    @contextmanager
-    def _explained(self) -> Iterator[None]:
+    def _explained(self) -> AbstractContextManager[None]:
         """Convert the exceptions for damaged records to InputError."""
-        try:
-            yield
-        except (ValueError, KeyError, struct.error, zlib.error, OverflowError, MemoryError, OSError) as problem:
-            fault = "the file of records is damaged, or is not of Waymo"
-            expected = "TFRecord of Frame messages"
-            got = str(problem)[:200] or type(problem).__name__
-            raise InputError(fault, where=self.path, expected=expected, got=got, hint="download it again") from problem
+        errors = (ValueError, KeyError, struct.error, zlib.error, OverflowError, MemoryError, OSError)
+        fault, expected = "the file of records is damaged, or is not of Waymo", "TFRecord of Frame messages"
+        return damage_explained(self.path, fault, expected, *errors)
 
 
 def _named(messages: list[Message], number: int) -> Message:

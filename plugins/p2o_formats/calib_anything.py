@@ -7,16 +7,12 @@ image size.
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
-from typing import Any
-
 from p2o import InputError
 from p2o.reading import Calibration, Reading, Source, matrix_rows, read_pose
 
 from p2o_formats.camera_entry import lens_of
 from p2o_formats.camera_info import lens_from_matrix
-from p2o_formats.format import EXAMPLE, Format
+from p2o_formats.format import EXAMPLE, Format, data_of, json_text, size_of
 
 _INITIAL, _TRUTH = "T_lidar_to_cam", "T_lidar_to_cam_gt"
 _RESULT = "Estimate extrinsic Matrix:"
@@ -40,39 +36,28 @@ def read(source: Source, reading: Reading) -> Calibration:
     key = _TRUTH if reading.name == "gt" else _INITIAL
     if reading.name not in ("", "gt"):
         raise InputError(f"there is no {reading.name!r}", where=source.path, expected="FILE or FILE#gt")
-    rows = _data(source.tree, key)
+    rows = data_of(source.tree.get(key))
     if not rows and key == _TRUTH:
         raise InputError(f"{_TRUTH} is not available", where=source.path, expected="a matrix (4, 4)")
     pose, remarks = read_pose(key, rows, source.path)
-    camera, lacks_size = None, False
-    if "cam_K" in source.tree:
-        if reading.width is None or reading.height is None:
-            lacks_size = True
-        else:
-            matrix, d = _data(source.tree, "cam_K"), _data(source.tree, "cam_dist")
-            size = (reading.width, reading.height)
-            lens = lens_from_matrix("cam_K", matrix, "cam_dist", d, None, size, source)
-            camera, remarks = lens.camera(), remarks + lens.remarks
-    return Calibration(camera, pose, remarks=remarks, lacks_image_size=lacks_size)
-
-
-def _data(tree: Mapping[str, Any], key: str) -> Any:
-    """Return the numbers of an entry {rows, cols, data}; entries without `data` are the numbers themselves."""
-    value = tree.get(key)
-    return value.get("data") if isinstance(value, Mapping) else value
+    size = size_of(None, None, reading, source.path)
+    if "cam_K" not in source.tree or size is None:
+        return Calibration(None, pose, remarks=remarks, lacks_image_size="cam_K" in source.tree)
+    matrix, d = (data_of(source.tree.get(name)) for name in ("cam_K", "cam_dist"))
+    lens = lens_from_matrix("cam_K", matrix, "cam_dist", d, None, size, source)
+    return Calibration(lens.camera(), pose, remarks=remarks + lens.remarks)
 
 
 def example() -> bytes:
     """Return a configuration with the calibration of `EXAMPLE`."""
     lens = lens_of(EXAMPLE.intrinsics(), "calib-anything")
-    pose = matrix_rows(EXAMPLE.extrinsic())
     tree = {
         "cam_K": {"rows": 3, "cols": 3, "data": lens.matrix},
         "cam_dist": {"cols": len(lens.coefficients), "data": list(lens.coefficients)},
-        _INITIAL: {"rows": 4, "cols": 4, "data": pose},
+        _INITIAL: {"rows": 4, "cols": 4, "data": matrix_rows(EXAMPLE.extrinsic())},
         _TRUTH: {"available": False, "rows": 0, "cols": 0, "data": []},
     }
-    return (json.dumps(tree, indent=2) + "\n").encode()
+    return json_text(tree)
 
 
 FORMAT = Format(

@@ -11,10 +11,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from p2o import InputError, Options, field
-from p2o.reading import Calibration, FrameName, Reading, Source, listed, numbers
+from p2o.reading import Calibration, FrameName, Reading, Source, listed
 
 from p2o_formats.camera_entry import Lens, lens_of, read_matrix
-from p2o_formats.format import ONLY_CAMERA, Format, comment_lines, size_of
+from p2o_formats.format import ONLY_CAMERA, Format, comment_lines, data_of, required_numbers, size_of
 
 
 class CameraInfoOptions(Options):
@@ -67,9 +67,10 @@ def read(source: Source, reading: Reading) -> Calibration:
         matrix, d = (tree.get(key, tree.get(key.upper())) for key in "kd")
         size = size_of(tree.get("width"), tree.get("height"), reading, source.path)
     else:
-        nested = (tree.get(key) for key in ("camera_matrix", "distortion_coefficients"))
-        matrix, d = (value.get("data") if isinstance(value, Mapping) else value for value in nested)
+        matrix, d = (data_of(tree.get(key)) for key in ("camera_matrix", "distortion_coefficients"))
         size = size_of(tree.get("image_width"), tree.get("image_height"), reading, source.path)
+    if size is None:
+        return Calibration(lacks_image_size=True)
     header = tree.get("header")
     name = header.get("frame_id", "") if isinstance(header, Mapping) else tree.get("camera_name", "")
     lens = lens_from_matrix("K", matrix, "D", d, tree.get("distortion_model"), size, source)
@@ -95,18 +96,15 @@ def lens_from_matrix(
     InputError that names the keys of the file.
     """
     pinhole, remarks = read_matrix(matrix_key, matrix, size[1], source.path)
-    rows = [] if d is None else d if isinstance(d, list) else None
-    flat = rows and [value for row in rows for value in (row if isinstance(row, list) else [row])]
-    coefficients = numbers(flat, (len(flat),)) if flat else flat
-    if coefficients is None:
-        fault, got = f"{d_key} does not contain coefficients", str(d)[:80]
-        raise InputError(fault, where=source.path, expected="finite numbers", got=got)
+    rows = [] if d is None else d
+    flat = [v for row in rows for v in (row if isinstance(row, list) else [row])] if isinstance(rows, list) else rows
+    coefficients = required_numbers(d_key, flat, None, source.path, "finite numbers")
     if model in (None, ""):
         model = "plumb_bob" if len(coefficients) <= 5 else "rational_polynomial"
     if not isinstance(model, str):
         fault, got = "the distortion model is not a name", repr(model)[:60]
         raise InputError(fault, where=source.path, expected="plumb_bob", got=got)
-    return Lens(*size, *pinhole, model, tuple(float(value) for value in coefficients), remarks)
+    return Lens(*size, *pinhole, model, tuple(coefficients), remarks)
 
 
 FORMAT = Format(

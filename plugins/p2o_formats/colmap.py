@@ -8,17 +8,29 @@ camera_from_lidar, and adds `width` and `height`, which COLMAP takes from the im
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
-from p2o import Camera, Float, InputError, Options, UnknownNameError, field, se3
-from p2o.reading import Calibration, FrameName, Reading, Source, numbers, plain, quaternion_xyzw, read_pose, spaced
+from p2o import Camera, Options, UnknownNameError, field, se3
+from p2o.reading import Calibration, FrameName, Reading, Source, plain, quaternion_xyzw, read_pose, spaced
 from p2o.solving import import_keeping_signals
 
-from p2o_formats.format import ONLY_CAMERA, ONLY_EXTRINSIC, Format, comment_lines, described, select_camera
+from p2o_formats.format import (
+    ONLY_CAMERA,
+    ONLY_EXTRINSIC,
+    Format,
+    comment_lines,
+    described,
+    json_text,
+    required_numbers,
+    select_camera,
+    size_of,
+)
 from p2o_formats.frame_names import is_lidar
+from p2o_formats.frame_tree import Edge, Posed, calibration_of
 
 _HEAD = "# Camera list with one line of data per camera:\n#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n"
 
@@ -68,11 +80,13 @@ def read_cameras(source: Source, reading: Reading) -> Calibration:
     rows = {words[0]: words for words in _rows(source)}
     wanted = select_camera(rows, reading.name, "FILE#ID", source.path)
     words = rows[wanted]
-    params = numbers(words[4:], (len(words) - 4,))
-    if params is None:
-        raise InputError("the parameters are not numbers", where=source.path, got=" ".join(words[4:])[:80])
+    params = required_numbers("the parameters", words[4:], None, source.path, f"parameters of {words[1]}")
     width, height = (int(word[:9]) for word in words[2:4])
-    return Calibration(Camera(words[1], width, height, _shifted(words[1], tuple(params.tolist()), -0.5)))
+    return Calibration(_camera(words[1], (width, height), params))
+
+
+def _camera(model: str, size: tuple[int, int], params: Sequence[float]) -> Camera:
+    return Camera(model, *size, _shifted(model, tuple(params), -0.5))
 
 
 def write_rig(calibration: Calibration, options: ColmapOptions) -> bytes:
@@ -90,7 +104,7 @@ def write_rig(calibration: Calibration, options: ColmapOptions) -> bytes:
     text = f"cam_from_rig maps points of {options.lidar_frame} to {axes}"
     camera["comment"] = described(calibration, text)
     tree = [{"cameras": [{"image_prefix": f"{options.lidar_frame}/", "ref_sensor": True}, camera]}]
-    return (json.dumps(tree, indent=2, allow_nan=False) + "\n").encode()
+    return json_text(tree)
 
 
 def recognises_rig(source: Source) -> bool:
@@ -108,53 +122,38 @@ def read_rig(source: Source, reading: Reading) -> Calibration:
     """
     where = source.path
     sensors = {name: entry for rig in source.value for name, entry in _sensors(rig)}
-    cameras = [name for name in sensors if (reading.lidar_frame or name) != name or not _lidar(name, reading)]
-    lidar = [name for name in sensors if _lidar(name, reading)]
-    wanted = reading.camera_frame or reading.name or (cameras[0] if len(cameras) == 1 else "")
-    if wanted not in sensors or len(lidar) != 1 or wanted == lidar[0]:
-        fault = "it is ambiguous which sensors of the rig are the LiDAR and the camera"
-        expected = "one image_prefix of a LiDAR, and FILE#NAME of a camera"
-        got, hint = ", ".join(list(sensors)[:8]) or "no sensors", "FILE?lidar_frame=NAME&camera_frame=NAME"
-        raise InputError(fault, where=where, expected=expected, got=got, hint=f"name them: {hint}")
-    camera_from_rig, remarks = _place(wanted, sensors[wanted], source)
-    lidar_from_rig, more = _place(lidar[0], sensors[lidar[0]], source)
-    camera, lacks_size = None, False
-    entry = sensors[wanted]
-    if "camera_model_name" in entry:
-        width, height = (entry.get(key, getattr(reading, key)) for key in ("width", "height"))
-        params = entry.get("camera_params")
-        values = numbers(params, (len(params),)) if isinstance(params, list) else None
-        if values is None:
-            raise InputError(f"camera_params of {wanted} are not numbers", where=where, got=str(params)[:60])
-        if isinstance(width, int) and isinstance(height, int):
-            model = str(entry["camera_model_name"])
-            camera = Camera(model, width, height, _shifted(model, tuple(values.tolist()), -0.5))
-        else:
-            lacks_size = True
-    pose = camera_from_rig @ se3.inverse(lidar_from_rig)
-    return Calibration(camera, pose, lidar[0], wanted, remarks + more, lacks_size, quaternion=True)
-
-
-def _lidar(name: str, reading: Reading) -> bool:
-    return name == reading.lidar_frame if reading.lidar_frame is not None else is_lidar(name)
+    cameras = [name for name in sensors if name != reading.lidar_frame and not is_lidar(name)]
+    wanted = reading.camera_frame or reading.name or (cameras[0] if len(cameras) == 1 else None)
+    # Sensors of a rig have axes as in COLMAP, whatever their names are.
+    named = reading.model_copy(update={"camera_frame": wanted, "camera_axes": "optical"})
+    edges = [
+        Edge("the rig", name, partial(_place, name, entry, source), quaternion=True) for name, entry in sensors.items()
+    ]
+    calibration = calibration_of(edges, named, where)
+    entry = sensors[calibration.camera_frame]
+    if "camera_model_name" not in entry:
+        return calibration
+    values = required_numbers("camera_params", entry.get("camera_params"), None, where, "parameters of the model")
+    size = size_of(entry.get("width"), entry.get("height"), reading, where)
+    camera = None if size is None else _camera(str(entry["camera_model_name"]), size, values)
+    return replace(calibration, camera=camera, lacks_image_size=size is None)
 
 
 def _sensors(rig: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
     for entry in rig["cameras"]:
         if isinstance(entry, Mapping) and isinstance(entry.get("image_prefix"), str):
-            yield entry["image_prefix"].rstrip("/")[:120], entry
+            yield entry["image_prefix"].strip("/")[:120], entry
 
 
-def _place(name: str, entry: Mapping[str, Any], source: Source) -> tuple[Float, tuple[str, ...]]:
+def _place(name: str, entry: Mapping[str, Any], source: Source) -> Posed:
+    """Return rig_from_sensor (4, 4) and remarks."""
     if entry.get("ref_sensor") is True:
         return np.eye(4), ()
-    quaternion = numbers(entry.get("cam_from_rig_rotation"), (4,))
-    if quaternion is None:
-        fault = f"cam_from_rig_rotation of {name} is not a quaternion"
-        raise InputError(fault, where=source.path, expected="w x y z, finite")
-    w, x, y, z = quaternion.tolist()
-    pose = {"rotation_xyzw": [x, y, z, w], "translation_m": entry.get("cam_from_rig_translation")}
-    return read_pose(f"cam_from_rig of {name}", pose, source.path)
+    rotation = entry.get("cam_from_rig_rotation")
+    w, x, y, z = required_numbers(f"cam_from_rig_rotation of {name}", rotation, 4, source.path, "w x y z")
+    value = {"rotation_xyzw": [x, y, z, w], "translation_m": entry.get("cam_from_rig_translation")}
+    pose, remarks = read_pose(f"cam_from_rig of {name}", value, source.path)
+    return se3.inverse(pose), remarks
 
 
 FORMAT = Format(

@@ -13,10 +13,10 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Literal
 
 from p2o import Camera, InputError, Options, field
-from p2o.reading import Calibration, Reading, Source, digits, listed, numbers, read_pose
+from p2o.reading import Calibration, Reading, Source, digits, listed, read_pose
 
 from p2o_formats.camera_entry import Lens, lens_of, unsupported_model
-from p2o_formats.format import Format, comment_lines, select_camera, size_of
+from p2o_formats.format import Format, comment_lines, required_numbers, select_camera, size_of
 
 _DEPTH = 4
 """Number of levels of sections in which the keys are looked for."""
@@ -93,8 +93,8 @@ def read(source: Source, reading: Reading) -> Calibration:
     cameras, transforms = _with({"cam_model", *_PINHOLE}, source), _with({"Rcl", "Pcl"}, source)
     if cameras:
         entry = cameras[_selected(cameras, reading, source)]
-        lacks_size = not {"cam_width", "cam_height"} <= entry.keys() and None in (reading.width, reading.height)
-        camera = None if lacks_size else _lens(entry, reading, source).camera()
+        size = size_of(entry.get("cam_width"), entry.get("cam_height"), reading, source.path)
+        lacks_size, camera = size is None, None if size is None else _lens(entry, size, source).camera()
     if transforms:
         entry = transforms[_selected(transforms, reading, source)]
         parts = {"rotation": entry["Rcl"], "translation_m": entry["Pcl"]}
@@ -107,18 +107,15 @@ def _selected(sections: Mapping[str, Any], reading: Reading, source: Source) -> 
     return select_camera(sections, wanted, "FILE#SECTION", source.path)
 
 
-def _lens(entry: Mapping[str, Any], reading: Reading, source: Source) -> Lens:
+def _lens(entry: Mapping[str, Any], size: tuple[int, int], source: Source) -> Lens:
     name = str(entry["cam_model"])[:60]
     model = _MODELS.get(name.lower().removesuffix("camera"))
     if model is None:
         expected = "Pinhole or EquidistantCamera"
         raise InputError("cam_model is not supported", where=source.path, expected=expected, got=name)
     keys = next((keys for keys in _COEFFICIENTS[model] if keys[0] in entry), _COEFFICIENTS[model][0])
-    values = numbers([entry.get(key, 0.0) for key in (*_PINHOLE, *keys)], (4 + len(keys),))
-    if values is None:
-        raise InputError(f"{' '.join((*_PINHOLE, *keys))} are not numbers", where=source.path, expected="px")
-    size = size_of(entry.get("cam_width"), entry.get("cam_height"), reading, source.path)
-    fx, fy, cx, cy, *d = values.tolist()
+    given = [entry.get(key, 0.0) for key in (*_PINHOLE, *keys)]
+    fx, fy, cx, cy, *d = required_numbers(" ".join((*_PINHOLE, *keys)), given, None, source.path, "px")
     return Lens(*size, fx, fy, cx, cy, model, tuple(d))
 
 

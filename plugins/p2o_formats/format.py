@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from p2o.reading import (
     Reading,
     Source,
     naming,
+    numbers,
     provenance,
     write_whole,
 )
@@ -129,15 +131,37 @@ def described(calibration: Calibration, text: str) -> str:
     return "; ".join(filter(None, (text, calibration.comment)))
 
 
-def size_of(width: Any, height: Any, reading: Reading, where: object) -> tuple[int, int]:
-    """Return the image size in px of a file, or else of the reading; raises InputError if neither has one."""
+def size_of(width: Any, height: Any, reading: Reading, where: object) -> tuple[int, int] | None:
+    """Return the image size in px of a file, or else of the reading; None if neither has one.
+
+    Raises InputError unless it consists of whole numbers.
+    """
     stated = (reading.width if width is None else width, reading.height if height is None else height)
     if None in stated:
-        fault = "the file does not contain the image size"
-        raise InputError(fault, where=where, expected="width and height in px", hint="add it: FILE?width=W&height=H")
+        return None
     if any(isinstance(v, bool) or not isinstance(v, int | float) or not math.isfinite(v) or v % 1 for v in stated):
         raise InputError("the image size is not in whole pixels", where=where, expected="px", got=repr(stated)[:60])
     return int(stated[0]), int(stated[1])  # type: ignore[arg-type]
+
+
+def data_of(value: Any) -> Any:
+    """Return the numbers of an entry {rows, cols, data}; other entries are the numbers themselves."""
+    return value.get("data") if isinstance(value, Mapping) else value
+
+
+def required_numbers(name: str, value: Any, count: int | None, where: object, expected: str) -> list[float]:
+    """Return finite numbers of a file; raises InputError for other values or another count (None: any)."""
+    if count is None:
+        count = len(value) if isinstance(value, list) else -1
+    array = numbers(value, (count,))
+    if array is None:
+        raise InputError(f"{name} are not numbers", where=where, expected=expected, got=str(value)[:60])
+    return [float(number) for number in array]
+
+
+def json_text(tree: Any) -> bytes:
+    """Return the text of a JSON file."""
+    return (json.dumps(tree, indent=2, allow_nan=False) + "\n").encode()
 
 
 def select_camera(names: Collection[str], wanted: str | None, form: str, where: object) -> str:

@@ -91,26 +91,6 @@ def _last(name: str) -> str:
     return name.rpartition("/")[2].lower()
 
 
-def roles(parent: str, child: str, lidar: str | None, camera: str | None, where: object) -> bool:
-    """Return whether of two frames the parent is the LiDAR; `lidar` and `camera` are the known names, or None.
-
-    Raises InputError if neither these nor the frame names decide it.
-    """
-    for name in (lidar, camera):
-        if name is not None and name not in (parent, child):
-            raise InputError(f"there is no frame {name!r}", where=where, expected=f"{parent} or {child}", got=name)
-    if lidar is not None or camera is not None:
-        if lidar == camera:
-            raise InputError("one frame cannot be both LiDAR and camera", where=where, got=lidar)
-        return parent == lidar or child == camera
-    signs = {True: is_lidar(parent) + is_camera(child), False: is_camera(parent) + is_lidar(child)}
-    if signs[True] == signs[False]:
-        fault, hint = "the frame names do not determine which one is the camera", f"FILE?camera_frame={child}"
-        expected = "one name with camera, the other with lidar"
-        raise InputError(fault, where=where, expected=expected, got=f"{parent}, {child}", hint=f"name it: {hint}")
-    return signs[True] > signs[False]
-
-
 CAMERA_FROM_LIDAR = ("camera_from_lidar", "T_cam_lidar", "T_camera_lidar", "lidar_to_camera")
 LIDAR_FROM_CAMERA = ("lidar_from_camera", "T_lidar_cam", "T_lidar_camera", "camera_to_lidar")
 """`T_b_a` and `b_from_a` map points of a to b (Kalibr, Koide, p2o); "a to b" does the same."""

@@ -9,13 +9,14 @@ the transforms of the IMU and of the previous camera (`T_cam_imu`, `T_cn_cnm1`);
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from p2o import Camera, InputError, Options, field
-from p2o.reading import Calibration, FrameName, Reading, Source, listed, numbers
+from p2o.reading import Calibration, FrameName, Reading, Source, listed
 
 from p2o_formats.camera_entry import colmap_model, lens_of, unsupported_model
-from p2o_formats.format import ONLY_CAMERA, Format, comment_lines, select_camera, size_of
+from p2o_formats.format import ONLY_CAMERA, Format, comment_lines, required_numbers, select_camera, size_of
 from p2o_formats.frame_names import named_transform
 
 _KNOWN = "pinhole with radtan (k1 k2 p1 p2), equidistant, fov or none, and eucm"
@@ -87,33 +88,31 @@ def read(source: Source, reading: Reading) -> Calibration:
     where = source.path
     cameras = _cameras(source)
     name = select_camera(cameras, reading.name or reading.camera_frame, "FILE#NAME", where)
-    pose, remarks = named_transform(cameras[name], where, name)
-    return Calibration(_camera(cameras[name], name, reading, source), pose, camera_frame=name, remarks=remarks)
+    entry = cameras[name]
+    pose, remarks = named_transform(entry, where, name)
+    width, height = None, None
+    if "resolution" in entry:
+        width, height = required_numbers(f"{name}: resolution", entry["resolution"], 2, where, "width and height in px")
+    size = size_of(width, height, reading, where)
+    camera = None if size is None else _camera(entry, name, size, where)
+    return Calibration(camera, pose, camera_frame=name, remarks=remarks, lacks_image_size=size is None)
 
 
-def _camera(entry: Mapping[str, Any], name: str, reading: Reading, source: Source) -> Camera:
-    where = source.path
+def _camera(entry: Mapping[str, Any], name: str, size: tuple[int, int], where: Path) -> Camera:
     model, distortion = (str(entry.get(key, "none")) for key in ("camera_model", "distortion_model"))
-    d = entry.get("distortion_coeffs") or []
     if model not in ("pinhole", "eucm") or (model == "eucm" and distortion != "none"):
         got = f"{model}, {distortion}"
         raise InputError(f"{name}: {model} with {distortion} is not supported", where=where, expected=_KNOWN, got=got)
-    count = 6 if model == "eucm" else 4
-    intrinsics = numbers(entry["intrinsics"], (count,))
-    coefficients = numbers(d, (len(d),)) if isinstance(d, list) and d else () if isinstance(d, list) else None
-    if intrinsics is None or coefficients is None or (distortion == "fov" and len(coefficients) != 1):
-        fault = f"{name}: intrinsics or distortion_coeffs do not fit {model} with {distortion}"
-        got = f"{entry['intrinsics']}, {d}"[:80]
-        raise InputError(fault, where=where, expected=f"{count} numbers, and the coefficients of the model", got=got)
-    resolution = numbers(entry.get("resolution"), (2,))
-    width, height = (None, None) if resolution is None else resolution.tolist()
-    size = size_of(width, height, reading, where)
-    *projection, fx, fy, cx, cy = (float(value) for value in intrinsics)
+    expected = "alpha beta fu fv pu pv" if model == "eucm" else "fu fv pu pv"
+    count = len(expected.split())
+    *projection, fx, fy, cx, cy = required_numbers(f"{name}: intrinsics", entry["intrinsics"], count, where, expected)
+    given, fits = entry.get("distortion_coeffs") or [], f"the coefficients of {distortion}"
+    d = required_numbers(f"{name}: distortion_coeffs", given, 1 if distortion == "fov" else None, where, fits)
     if model == "eucm":
         return Camera("EUCM", *size, (fx, fy, cx, cy, *projection))
     if distortion == "fov":
-        return Camera("FOV", *size, (fx, fy, cx, cy, float(sum(coefficients))))
-    model, params = colmap_model(distortion, tuple(float(value) for value in coefficients), (fx, fy, cx, cy))
+        return Camera("FOV", *size, (fx, fy, cx, cy, *d))
+    model, params = colmap_model(distortion, d, (fx, fy, cx, cy))
     return Camera(model, *size, params)
 
 

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 from p2o import Camera, Float, InputError, UnknownNameError, se3
-from p2o.reading import read_text
+from p2o.reading import naming, numbers, read_text
 
-from p2o_formats.camera_entry import is_intrinsic, skew_remarks
+from p2o_formats.camera_entry import colmap_model, is_intrinsic, read_matrix, skew_remarks
 
 _MAX_VALUE = 1e7
 """Largest plausible value of a calibration, in pixels or pixels times metres."""
@@ -47,15 +47,11 @@ class KittiCalibration:
         if key not in self.lines:
             # A damaged file may have arbitrarily long keys.
             raise UnknownNameError("key", key, (known[:20] for known in self.lines), where=self.path)
-        count = int(np.prod(shape))
-        try:
-            values = np.array(self.lines[key].split(), dtype=np.float64)
-        except ValueError:
-            values = np.array([])
-        if values.size != count or not np.isfinite(values).all():
+        values = numbers(self.lines[key].split(), shape)
+        if values is None:
             got = self.lines[key].strip()[:60] or "none"
-            raise InputError(f"{key} does not contain {count} finite numbers", where=self.path, got=got)
-        return values.reshape(shape)
+            raise InputError(f"{key} does not contain {np.prod(shape)} finite numbers", where=self.path, got=got)
+        return values
 
     def size(self, key: str) -> tuple[int, int]:
         """Return width and height of an image in pixels; raises InputError unless they are positive integers."""
@@ -90,6 +86,14 @@ class KittiCalibration:
             got = self.lines[key].strip()[:120]
             raise InputError(fault, where=self.path, expected="fx 0 cx ., 0 fy cy ., 0 0 1 .", got=got)
         return matrix
+
+    def distorted_camera(self, number: str, size: tuple[int, int]) -> tuple[Camera, tuple[str, ...]]:
+        """Return the camera of raw images (K_NN, D_NN) of a size in pixels, and a remark on its skew."""
+        matrix, d = self.numbers(f"K_{number}", (3, 3)), self.numbers(f"D_{number}", (5,))
+        pinhole, remarks = read_matrix(f"K_{number}", matrix.tolist(), size[1], self.path)
+        with naming(self.path):
+            model, params = colmap_model("plumb_bob", d.tolist(), pinhole)
+            return Camera(model, *size, params), remarks
 
     def _checked(self, key: str, matrix: Float) -> Float:
         return se3.check_rigid(key, matrix, where=self.path)
@@ -134,11 +138,16 @@ def rectified_camera(projection: Float, width: int, height: int) -> Camera:
     `skew_remarks`.
     """
     skew_remarks("the projection", projection[:, :3], height, None)
-    fx, fy, cx, cy = projection[0, 0], projection[1, 1], projection[0, 2], projection[1, 2]
+    check_centre(projection, width, height)
+    return Camera.pinhole(projection[0, 0], projection[1, 1], projection[0, 2], projection[1, 2], width, height)
+
+
+def check_centre(matrix: Float, width: int, height: int) -> None:
+    """Raise InputError if the principal point of an intrinsic matrix (3, 3) is outside an image of width x height."""
+    cx, cy = matrix[0, 2], matrix[1, 2]
     if not (0 <= cx < width and 0 <= cy < height):
         expected = f"the principal point ({cx:.0f}, {cy:.0f}) inside the image"
         raise InputError("the image size does not fit the camera", expected=expected, got=f"{width}x{height} px")
-    return Camera.pinhole(fx, fy, cx, cy, width, height)
 
 
 def camera_offset(projection: Float, *, pykitti_compat: bool = False) -> Float:

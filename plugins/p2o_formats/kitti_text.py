@@ -12,11 +12,10 @@ import re
 from typing import Literal
 
 import numpy as np
-from p2o import Camera, Float, InputError, Options, field
+from p2o import Float, InputError, Options, field
 from p2o.reading import Calibration, Reading, Source
 
 from p2o_formats.camera_entry import skew_remarks
-from p2o_formats.camera_info import lens_from_matrix
 from p2o_formats.format import ONLY_EXTRINSIC, Format, size_of
 from p2o_formats.kitti_calibration import KittiCalibration, calibration_of, rectified_camera, rectified_extrinsic
 
@@ -58,44 +57,25 @@ def read(source: Source, reading: Reading) -> Calibration:
     contains. Raises InputError for invalid numbers, cameras and transforms.
     """
     lines = calibration_of("\n".join(source.lines) + "\n" * source.text.endswith("\n"), source.path)
-    number, raw = _camera_number(reading.name, source)
-    camera, lacks_size = None, False
-    remarks: tuple[str, ...] = ()
-    projection = lines.projection(f"P{number}") if f"P{number}" in lines.lines else None
-    if f"P_rect_0{number}" in lines.lines or f"K_0{number}" in lines.lines:
-        camera, remarks = _raw_camera(lines, number, raw, reading, source)
-    elif projection is not None and reading.width is not None and reading.height is not None:
-        remarks = skew_remarks(f"P{number}", projection[:, :3], reading.height, source.path)
-        camera = rectified_camera(projection, reading.width, reading.height)
-    elif projection is not None:
-        lacks_size = True
-    elif reading.name:
-        raise InputError(f"there is no camera {reading.name!r}", where=source.path, expected="P0 to P3, 00 to 03")
-    return Calibration(camera, _extrinsic(lines, projection), remarks=remarks, lacks_image_size=lacks_size)
-
-
-def _camera_number(name: str, source: Source) -> tuple[int, bool]:
-    match = re.fullmatch(r"P?0?([0-3])(-raw)?", name or "P2")
-    if match is None:
+    match = re.fullmatch(r"P?0?([0-3])(-raw)?", reading.name or "P2")
+    number = None if match is None else match[1]
+    keys = (f"P{number}", f"P_rect_0{number}", f"K_0{number}")
+    if reading.name and not any(key in lines.lines for key in keys):
         expected = "FILE#P0 to P3, or 00 to 03, 02-raw"
-        raise InputError(f"there is no camera {name!r}", where=source.path, expected=expected, got=name)
-    return int(match[1]), match[2] is not None
-
-
-def _raw_camera(
-    lines: KittiCalibration, number: int, raw: bool, reading: Reading, source: Source
-) -> tuple[Camera, tuple[str, ...]]:
-    rectified = not raw and f"P_rect_0{number}" in lines.lines
-    size_key, matrix_key, d_key = f"S_{'rect_' * rectified}0{number}", f"K_0{number}", f"D_0{number}"
+        raise InputError(f"there is no camera {reading.name!r}", where=source.path, expected=expected)
+    rectified = next((key for key in keys[:2] if key in lines.lines and not (match and match[2])), None)
+    size_key = f"S_{'rect_' * (rectified is not None)}0{number}"
     width, height = lines.size(size_key) if size_key in lines.lines else (None, None)
     size = size_of(width, height, reading, source.path)
-    if rectified:
-        projection = lines.projection(f"P_rect_0{number}")
-        remarks = skew_remarks(f"P_rect_0{number}", projection[:, :3], size[1], source.path)
-        return rectified_camera(projection, *size), remarks
-    matrix, d = lines.numbers(matrix_key, (3, 3)), lines.numbers(d_key, (5,))
-    lens = lens_from_matrix(matrix_key, matrix.tolist(), d_key, d.tolist(), "plumb_bob", size, source)
-    return lens.camera(), lens.remarks
+    extrinsic = _extrinsic(lines, lines.projection(keys[0]) if keys[0] in lines.lines else None)
+    if size is None or not any(key in lines.lines for key in keys):
+        return Calibration(None, extrinsic, lacks_image_size=any(key in lines.lines for key in keys))
+    if rectified is not None:
+        projection = lines.projection(rectified)
+        remarks = skew_remarks(rectified, projection[:, :3], size[1], source.path)
+        return Calibration(rectified_camera(projection, *size), extrinsic, remarks=remarks)
+    camera, remarks = lines.distorted_camera(f"0{number}", size)
+    return Calibration(camera, extrinsic, remarks=remarks)
 
 
 def _extrinsic(lines: KittiCalibration, projection: Float | None) -> Float | None:

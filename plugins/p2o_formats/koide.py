@@ -7,15 +7,14 @@ k1 k2 k3 k4). The tool takes the image size from the images; p2o adds `width` an
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from typing import Any
 
 from p2o import InputError, Options, se3
-from p2o.reading import Calibration, Reading, Source, numbers, plain, quaternion_xyzw, read_pose
+from p2o.reading import Calibration, Reading, Source, plain, quaternion_xyzw, read_pose
 
 from p2o_formats.camera_entry import Lens, lens_of, unsupported_model
-from p2o_formats.format import BOTH, Format, size_of
+from p2o_formats.format import BOTH, Format, json_text, required_numbers, size_of
 
 _RESULTS = ("T_lidar_camera", "init_T_lidar_camera", "init_T_lidar_camera_auto")
 """Key of the result, and the keys of the manual and automatic initial guesses, which are used without a result."""
@@ -44,7 +43,7 @@ def write(calibration: Calibration, options: Options) -> bytes:
         },
         "results": {"T_lidar_camera": plain(lidar_from_camera[:3, 3]) + quaternion_xyzw(lidar_from_camera)},
     }
-    return (json.dumps(tree, indent=2, allow_nan=False) + "\n").encode()
+    return json_text(tree)
 
 
 def recognises(source: Source) -> bool:
@@ -61,17 +60,14 @@ def read(source: Source, reading: Reading) -> Calibration:
     """
     camera, lacks_size, entry = None, False, source.tree.get("camera")
     if isinstance(entry, Mapping):
-        lacks_size = not {"width", "height"} <= entry.keys() and None in (reading.width, reading.height)
-        camera = None if lacks_size else _lens(entry, reading, source).camera()
+        size = size_of(entry.get("width"), entry.get("height"), reading, source.path)
+        lacks_size, camera = size is None, None if size is None else _lens(entry, size, source).camera()
     results = source.tree.get("results")
     key = next((key for key in _RESULTS if isinstance(results, Mapping) and key in results), None)
     if results is None or key is None:
         return Calibration(camera, lacks_image_size=lacks_size)
-    values = numbers(results[key], (7,))
-    if values is None:
-        got = str(results[key])[:60]
-        raise InputError(f"results.{key} is not a transform", where=source.path, expected="x y z qx qy qz qw", got=got)
-    parts = {"translation_m": values[:3].tolist(), "rotation_xyzw": values[3:].tolist()}
+    values = required_numbers(f"results.{key}", results[key], 7, source.path, "x y z qx qy qz qw")
+    parts = {"translation_m": values[:3], "rotation_xyzw": values[3:]}
     lidar_from_camera, remarks = read_pose(f"results.{key}", parts, source.path)
     if key != _RESULTS[0]:
         remarks = (*remarks, f"{source.path}: the file has no result, so that the initial guess {key} is used")
@@ -79,20 +75,16 @@ def read(source: Source, reading: Reading) -> Calibration:
     return Calibration(camera, pose, remarks=remarks, lacks_image_size=lacks_size, quaternion=True)
 
 
-def _lens(entry: Mapping[str, Any], reading: Reading, source: Source) -> Lens:
+def _lens(entry: Mapping[str, Any], size: tuple[int, int], source: Source) -> Lens:
     model = entry.get("camera_model")
     if not isinstance(model, str):
         expected, got = "plumb_bob or fisheye", repr(model)[:60]
         raise InputError("camera.camera_model is not a name", where=source.path, expected=expected, got=got)
-    pinhole = numbers(entry.get("intrinsics"), (4,))
+    given = entry.get("intrinsics")
+    fx, fy, cx, cy = required_numbers("camera.intrinsics", given, 4, source.path, "fx fy cx cy")
     d = entry.get("distortion_coeffs", [])
-    coefficients = numbers(d, (len(d),)) if isinstance(d, list) else None
-    if pinhole is None or coefficients is None:
-        fault = "camera.intrinsics or camera.distortion_coeffs are not numbers"
-        raise InputError(fault, where=source.path, expected="fx fy cx cy, and k1 k2 p1 p2 k3 or k1 k2 k3 k4")
-    size = size_of(entry.get("width"), entry.get("height"), reading, source.path)
-    fx, fy, cx, cy = pinhole.tolist()
-    return Lens(*size, fx, fy, cx, cy, model, tuple(coefficients.tolist()))
+    d = required_numbers("camera.distortion_coeffs", d, None, source.path, "k1 k2 p1 p2 k3, or k1 k2 k3 k4")
+    return Lens(*size, fx, fy, cx, cy, model, tuple(d))
 
 
 FORMAT = Format(

@@ -12,9 +12,9 @@ from typing import Any, Literal
 
 import numpy as np
 from p2o import InputError, Options, field, se3
-from p2o.reading import Calibration, Reading, Source, numbers, read_npy, read_pose, spaced
+from p2o.reading import Calibration, Reading, Source, read_npy, read_pose, spaced
 
-from p2o_formats.format import ONLY_EXTRINSIC, Format, comment_lines
+from p2o_formats.format import ONLY_EXTRINSIC, Format, comment_lines, required_numbers
 
 _DIRECTION = re.compile(r"^\s*#.*?\bdirection:\s*(camera_from_lidar|lidar_from_camera)\b", re.MULTILINE)
 _NUMBERS = re.compile(r"[-+0-9.eEnaifNIF\s,;\[\]]+")
@@ -80,10 +80,7 @@ def read_npy_matrix(source: Source, reading: Reading) -> Calibration:
 def read_text_matrix(source: Source, reading: Reading) -> Calibration:
     """Return the transform of 12 or 16 numbers; raises InputError if they are not finite or not rigid."""
     words = _words(" ".join(source.lines))
-    values = numbers(words, (len(words),))
-    if values is None:
-        raise InputError("the matrix contains values that are not finite", where=source.path, got=" ".join(words)[:80])
-    return _read(values.tolist(), source, reading)
+    return _read(required_numbers("the values", words, None, source.path, "finite numbers"), source, reading)
 
 
 def _read(values: Any, source: Source, reading: Reading) -> Calibration:

@@ -7,17 +7,17 @@ OpenCV, or the four coefficients of `cv::fisheye` if `device_type` contains fish
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
-from p2o import InputError, Options, field, se3
+from p2o import InputError, Options, field
 from p2o.reading import Calibration, FrameName, Reading, Source, matrix_rows, read_pose
 
 from p2o_formats.camera_entry import lens_of, unsupported_model
 from p2o_formats.camera_info import lens_from_matrix
-from p2o_formats.format import ONLY_CAMERA, ONLY_EXTRINSIC, Format, described, size_of
-from p2o_formats.frame_names import roles
+from p2o_formats.format import ONLY_CAMERA, ONLY_EXTRINSIC, Format, data_of, described, json_text, size_of
+from p2o_formats.frame_tree import Edge, calibration_of
 
 
 class OpenCalibOptions(Options):
@@ -53,7 +53,7 @@ def _json(key: str, names: tuple[str, str], device: str, comment: str, param: Ma
     """Return the JSON text of one entry; its key ends in the type of the parameters."""
     entry = {"sensor_name": names[0], "target_sensor_name": names[1], "device_type": device}
     entry |= {"param_type": key.rpartition("-")[2], "comment": comment}
-    return (json.dumps({key: {**entry, "param": param}}, indent=2, allow_nan=False) + "\n").encode()
+    return json_text({key: {**entry, "param": param}})
 
 
 def _matrix(values: Any) -> dict[str, Any]:
@@ -91,18 +91,19 @@ def read(source: Source, reading: Reading) -> Calibration:
         parts = key.removesuffix("-extrinsic").split("-to-")
         names = (parts[0], parts[-1])
     sensor, target = (str(name)[:120] for name in names)
-    to_camera = roles(sensor, target, reading.lidar_frame, reading.camera_frame, source.path)
-    pose, remarks = read_pose(f"{key}.sensor_calib", _data(entry, "sensor_calib", source), source.path)
-    lidar, camera = (sensor, target) if to_camera else (target, sensor)
-    return Calibration(None, pose if to_camera else se3.inverse(pose), lidar, camera, remarks)
+    pose = partial(read_pose, f"{key}.sensor_calib", data_of(entry["param"].get("sensor_calib")), source.path)
+    optical = reading.model_copy(update={"camera_axes": "optical"})
+    return calibration_of([Edge(target, sensor, pose)], optical, source.path)
 
 
 def read_camera(source: Source, reading: Reading) -> Calibration:
     """Return the camera; raises InputError for an invalid camera."""
     _, entry = _only(_entries(source, "intrinsic"), reading, source)
-    matrix, d = (_data(entry, key, source) for key in ("cam_K", "cam_dist"))
+    matrix, d = (data_of(entry["param"].get(key)) for key in ("cam_K", "cam_dist"))
     width, height = (entry["param"].get(key) for key in ("img_dist_w", "img_dist_h"))
     size = size_of(width, height, reading, source.path)
+    if size is None:
+        return Calibration(lacks_image_size=True)
     model = "equidistant" if "fisheye" in str(entry.get("device_type", "")).lower() else None
     lens = lens_from_matrix("cam_K", matrix, "cam_dist", d, model, size, source)
     return Calibration(lens.camera(), camera_frame=str(entry.get("sensor_name", "")), remarks=lens.remarks)
@@ -114,13 +115,6 @@ def _only(entries: Mapping[str, Mapping[str, Any]], reading: Reading, source: So
         fault, got = f"{len(matching) or 'none'} of the entries match", ", ".join(list(entries)[:6])
         raise InputError(fault, where=source.path, expected="one, or FILE#NAME", got=got)
     return next(iter(matching.items()))
-
-
-def _data(entry: Mapping[str, Any], key: str, source: Source) -> Any:
-    value = entry["param"].get(key)
-    if not isinstance(value, Mapping) or "data" not in value:
-        raise InputError(f"param.{key}.data is missing", where=source.path, expected="rows of numbers")
-    return value["data"]
 
 
 FORMAT = Format(

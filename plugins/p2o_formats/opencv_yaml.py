@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 from p2o import InputError, Options
-from p2o.reading import Calibration, Reading, Source, digits, numbers, plain
+from p2o.reading import Calibration, Reading, Source, digits, plain
 
 from p2o_formats.camera_entry import lens_of
 from p2o_formats.camera_info import lens_from_matrix
-from p2o_formats.format import Format, comment_lines, size_of
+from p2o_formats.format import Format, comment_lines, required_numbers, size_of
 from p2o_formats.frame_names import CAMERA_FROM_LIDAR, LIDAR_FROM_CAMERA, named_transform
 
 _MATRIX = ("camera_matrix", "CameraMat", "K", "cameraMatrix")
@@ -65,17 +65,16 @@ def read(source: Source, reading: Reading) -> Calibration:
     pose, remarks = named_transform(tree, where)
     if pose is None and _AUTOWARE_AI in tree:
         pose, remarks = named_transform({"lidar_from_camera": tree[_AUTOWARE_AI]}, where)
-    camera = None
     key = next((key for key in _MATRIX if key in tree), None)
-    if key is not None:
-        d_key = next((name for name in _DISTORTION if name in tree), _DISTORTION[0])
-        sizes = tree.get("ImageSize")
-        width, height = sizes if isinstance(sizes, list) and len(sizes) == 2 else (None, None)
-        size = size_of(tree.get("image_width", width), tree.get("image_height", height), reading, where)
-        model = tree.get("distortion_model", tree.get("DistModel"))
-        lens = lens_from_matrix(key, tree[key], d_key, tree.get(d_key), model, size, source)
-        camera, remarks = lens.camera(), remarks + lens.remarks
-    return Calibration(camera, pose, remarks=remarks)
+    sizes = tree.get("ImageSize")
+    width, height = sizes if isinstance(sizes, list) and len(sizes) == 2 else (None, None)
+    size = size_of(tree.get("image_width", width), tree.get("image_height", height), reading, where)
+    if key is None or size is None:
+        return Calibration(None, pose, remarks=remarks, lacks_image_size=key is not None)
+    d_key = next((name for name in _DISTORTION if name in tree), _DISTORTION[0])
+    model = tree.get("distortion_model", tree.get("DistModel"))
+    lens = lens_from_matrix(key, tree[key], d_key, tree.get(d_key), model, size, source)
+    return Calibration(lens.camera(), pose, remarks=remarks + lens.remarks)
 
 
 def _array(name: str, value: Any, source: Source) -> Any:
@@ -83,14 +82,11 @@ def _array(name: str, value: Any, source: Source) -> Any:
     if not (isinstance(value, Mapping) and {"rows", "cols", "data"} <= value.keys()):
         return value
     rows, columns, data = value["rows"], value["cols"], value["data"]
-    typed = isinstance(rows, int) and isinstance(columns, int) and isinstance(data, list)
-    if not typed or rows * columns != len(data):
-        fault = f"the matrix {name} does not have the stated size"
-        got = len(data) if isinstance(data, list) else type(data).__name__
-        raise InputError(fault, where=source.path, expected=f"{rows}x{columns} numbers"[:40], got=got)
-    if numbers(data, (len(data),)) is None and data:
-        raise InputError(f"the matrix {name} is not finite", where=source.path, got=str(data)[:60])
-    return [data[start : start + columns] for start in range(0, len(data), columns)] if columns > 0 else []
+    if not isinstance(rows, int) or not isinstance(columns, int) or min(rows, columns) < 0:
+        got = f"{rows}x{columns}"[:40]
+        raise InputError(f"the matrix {name} has no size", where=source.path, expected="rows and cols", got=got)
+    flat = required_numbers(f"data of {name}", data, rows * columns, source.path, f"{rows}x{columns} finite numbers")
+    return [flat[start : start + columns] for start in range(0, len(flat), max(columns, 1))]
 
 
 FORMAT = Format(

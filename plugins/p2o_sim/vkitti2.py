@@ -14,13 +14,13 @@ from p2o.reading import LazyFrames, existing_folder, listing, naming, read_rgb, 
 from pydantic import Field
 
 from p2o_sim.sensing.depth_lidar import depth_sweep
+from p2o_sim.synthetic import camera_from_lidar as mounted
+from p2o_sim.write.vkitti2 import SKY_CM
 
 _MAX_BASELINE_M = 100.0
 """Largest plausible distance between two cameras of one vehicle."""
 _FOLIAGE = ((0, 199, 0), (90, 240, 0))
-_SKY_CM = 65535
 _CAMERA_IN_LIDAR = (0.27, 0.06, -0.08)
-_AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 
 
 class VirtualKitti2Options(Options):
@@ -102,7 +102,7 @@ def build(options: VirtualKitti2Options) -> Dataset:
 def camera_from_lidar(options: VirtualKitti2Options) -> Float:
     """Return the extrinsic (4, 4) of the simulated LiDAR: KITTI's lever arm (0.27, 0.06, -0.08) m, or none."""
     place = _CAMERA_IN_LIDAR if options.mount == "kitti" else (0.0, 0.0, 0.0)
-    return se3.make(_AXES, -_AXES @ np.array(place))
+    return mounted((*place, 0.0, 0.0, 0.0))
 
 
 def _read(options: VirtualKitti2Options, entry: _Entry) -> Frame:
@@ -148,7 +148,7 @@ def _image(options: VirtualKitti2Options, entry: _Entry) -> tuple[Image, tuple[s
     with naming(entry.folder / "intrinsic.txt"):
         camera = Camera.pinhole(fx, fy, cx, cy, rgb.shape[1], rgb.shape[0])
     with naming(path):
-        image = Image(rgb, camera, right, baseline_m, np.where(raw == _SKY_CM, np.inf, raw / 100), masked)
+        image = Image(rgb, camera, right, baseline_m, np.where(raw == SKY_CM, np.inf, raw / 100), masked)
     return image, warnings
 
 

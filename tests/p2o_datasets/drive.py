@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import PIL.Image
+from p2o import Frame, se3
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
@@ -56,3 +57,11 @@ def walls(count: int, seed: int = 0) -> Any:
 def picture(path: Any, width: int, height: int, grey: int) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     PIL.Image.fromarray(np.full((height, width, 3), grey, np.uint8)).save(path)
+
+
+def check_projection(frame: Frame, expected: Any, least: int, most_px: float, chosen: Any = ...) -> None:
+    """Check that the frame shows its chosen points where they are expected, at least so many of them in the image."""
+    seen = frame.camera.project(se3.apply(frame.camera_from_lidar, frame.cloud.xyz))[chosen]
+    inside = frame.camera.in_image(expected)
+    assert inside.sum() > least
+    assert np.abs(seen - expected)[inside].max() < most_px

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import os
+from copy import deepcopy
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -9,43 +11,60 @@ import numpy as np
 import PIL.Image
 import pytest
 import yaml
-from p2o import Box, Camera, Checkerboard, HoleBoard, InputError, Sphere, UnknownNameError, se3
+from p2o import Box, Camera, Checkerboard, Frame, HoleBoard, InputError, Sphere, UnknownNameError, se3
 from p2o.calibration_files.calibration import Calibration
-from p2o.frames.frame import LazyFrames
 from p2o.geometry.pose_text import read_extrinsic
-from p2o_datasets.folder import FolderOptions, build, read_frame_file
+from p2o_datasets.folder import read_frame_file
 from p2o_formats.formats import FORMATS
 from scipy.spatial.transform import Rotation
 
 from tests.toolkit.frames.test_direction import street
 
 from .kitti_files import HEIGHT, VELO_TO_CAM, WIDTH, sweep, write_image, write_sweep
+from .opened import opened, refused
 
 CAMERA = {"model": "PINHOLE", "width": WIDTH, "height": HEIGHT, "params": [50.0, 50.0, 31.0, 15.5]}
+QUATERNION = Rotation.from_matrix(VELO_TO_CAM[:3, :3]).as_quat()
+PLACE = VELO_TO_CAM[:3, 3].tolist()
+ONES = np.ones((3, 3))
+dataset = partial(opened, "folder")
 
 
-def write_frame(folder: Path, **content: Any) -> Path:
+def write_frame(folder: Path, scan: dict[str, Any] | None = None, **content: Any) -> Path:
+    """Write a frame; `scan` are the arrays of an archive that takes the place of its sweep."""
     write_image(folder / "image.png")
     write_sweep(folder / "cloud.bin")
+    if scan is not None:
+        np.savez(folder / "scan.npz", **{"xyz": ONES, **scan})
+        content["cloud"] = "scan.npz"
     (folder / "frame.yaml").write_text(yaml.safe_dump({"camera": CAMERA, **content}))
     return folder
 
 
-def dataset(root: Path) -> LazyFrames:
-    found = build(FolderOptions(root=root))
-    assert isinstance(found, LazyFrames)
-    return found
+def frame(folder: Path, scan: dict[str, Any] | None = None, **content: Any) -> Frame:
+    return dataset(write_frame(folder, scan, **content))[0]
+
+
+def ahead() -> np.ndarray:
+    """Return the points of the sweep in front of the camera."""
+    points = sweep()
+    return points[np.abs(np.arctan2(points[:, 1], points[:, 0])) < 0.7]
+
+
+def times(*seconds: float) -> dict[str, Any]:
+    return {"time_s": np.array(seconds)}
 
 
 def test_the_smallest_folder_is_an_image_a_sweep_and_a_camera(tmp_path: Path) -> None:
     pixels = write_image(write_frame(tmp_path / "mine") / "image.png", seed=3)
     found = dataset(tmp_path / "mine")
     assert found.names == ("mine",)
-    frame = found[0]
-    assert np.array_equal(frame.image.rgb, pixels)
-    assert np.array_equal(frame.cloud.xyz, sweep()[:, :3])
-    assert frame.camera.params == (50, 50, 31, 15.5)
-    assert (frame.start, frame.camera_from_lidar, frame.warnings) == (None, None, ())
+    assert np.array_equal(found[0].image.rgb, pixels)
+    assert np.array_equal(found[0].cloud.xyz, sweep()[:, :3])
+    assert found[0].camera.params == (50, 50, 31, 15.5)
+    none = ("start", "camera_from_lidar", "time_s", "lidar_world_from_lidar", "camera_world_from_camera")
+    assert [getattr(found[0], name) for name in none] == [None] * 5
+    assert (found[0].warnings, found[0].sequence, found[0].targets) == ((), "", ())
 
 
 def test_a_folder_of_folders_is_a_dataset_of_frames(tmp_path: Path) -> None:
@@ -55,50 +74,54 @@ def test_a_folder_of_folders_is_a_dataset_of_frames(tmp_path: Path) -> None:
     found = dataset(tmp_path)
     assert found.names == ("a", "b")
     assert found[1].name == "b"
-    with pytest.raises(InputError, match=r"frame 'notes' is left out; .*frame\.yaml is missing"):
+    with refused(r"frame 'notes' is left out; .*frame\.yaml is missing"):
         found.frame("notes")
 
 
-def test_poses_come_as_matrix_or_as_quaternion_and_translation(tmp_path: Path) -> None:
-    quaternion = Rotation.from_matrix(VELO_TO_CAM[:3, :3]).as_quat().tolist()
-    write_frame(
-        tmp_path,
-        start=VELO_TO_CAM.tolist(),
-        truth={"rotation_xyzw": quaternion, "translation_m": VELO_TO_CAM[:3, 3].tolist()},
-    )
-    frame = dataset(tmp_path)[0]
-    assert np.allclose(frame.start, VELO_TO_CAM, atol=1e-12)
-    assert np.allclose(frame.camera_from_lidar, VELO_TO_CAM, atol=1e-12)
+@pytest.mark.parametrize(
+    ("pose", "warning"),
+    [
+        (VELO_TO_CAM.tolist(), ""),
+        ({"rotation_xyzw": QUATERNION.tolist(), "translation_m": PLACE}, ""),
+        (
+            {"rotation_xyzw": (1.004 * QUATERNION).tolist(), "translation_m": PLACE},
+            "has length 1.0040 and is normalised",
+        ),
+        ({"lidar_from_camera": se3.inverse(VELO_TO_CAM)[:3].tolist()}, ""),
+    ],
+)
+def test_poses_come_as_matrix_or_as_quaternion_and_translation_in_both_directions(
+    tmp_path: Path, pose: Any, warning: str
+) -> None:
+    found = frame(tmp_path, start=pose, truth=deepcopy(pose))
+    assert np.allclose(found.start, VELO_TO_CAM, atol=1e-12)
+    assert np.allclose(found.camera_from_lidar, VELO_TO_CAM, atol=1e-12)
+    assert [warning in text for text in found.warnings] == [True] * (2 if warning else 0)
 
 
-def test_poses_given_the_other_way_and_cameras_of_ros_are_taken(tmp_path: Path) -> None:
-    quaternion = 1.004 * Rotation.from_matrix(VELO_TO_CAM[:3, :3]).as_quat()
-    write_frame(
-        tmp_path,
-        camera={
-            "width": WIDTH,
-            "height": HEIGHT,
-            "K": [[50.0, 0, 31.0], [0, 50.0, 15.5], [0, 0, 1]],
-            "distortion_model": "plumb_bob",
-            "D": [-0.01, 0.0, 0.0, 0.0, 0.0],
-        },
-        start={"lidar_from_camera": se3.inverse(VELO_TO_CAM)[:3].tolist()},
-        truth={"rotation_xyzw": quaternion.tolist(), "translation_m": VELO_TO_CAM[:3, 3].tolist()},
-    )
-    frame = dataset(tmp_path)[0]
-    assert (frame.camera.model, frame.camera.params) == ("OPENCV", (50, 50, 31, 15.5, -0.01, 0, 0, 0))
-    assert np.allclose(frame.start, VELO_TO_CAM, atol=1e-12)
-    (warning,) = frame.warnings
-    assert warning.endswith("frame.yaml: the quaternion of truth has length 1.0040 and is normalised")
+@pytest.mark.parametrize(
+    ("camera", "model", "params"),
+    [
+        ({**CAMERA, "model": "OPENCV_FISHEYE", "params": [50, 50, 31, 15, 0.01, 0, 0, 0]}, "OPENCV_FISHEYE", None),
+        (
+            {"width": WIDTH, "height": HEIGHT, "K": [50.0, 0, 31.0, 0, 50.0, 15.5, 0, 0, 1],
+             "distortion_model": "plumb_bob", "D": [-0.01, 0.0, 0.0, 0.0, 0.0]},
+            "OPENCV",
+            (50, 50, 31, 15.5, -0.01, 0, 0, 0),
+        ),
+    ],
+)  # fmt: skip
+def test_cameras_of_colmap_and_of_ros_are_taken(tmp_path: Path, camera: Any, model: str, params: Any) -> None:
+    found = frame(tmp_path, camera=camera).camera
+    assert (found.model, found.params) == (model, params or tuple(camera["params"]))
 
 
 def test_files_may_be_named_and_have_any_kind(tmp_path: Path) -> None:
-    write_frame(tmp_path, image="pictures/left.jpg", cloud="scan.npz")
+    write_frame(tmp_path, {}, image="pictures/left.jpg")
     write_image(tmp_path / "pictures/left.jpg", seed=8)
-    np.savez(tmp_path / "scan.npz", xyz=np.ones((3, 3)))
-    frame = dataset(tmp_path)[0]
-    assert len(frame.cloud) == 3
-    assert np.array_equal(frame.image.rgb, cv2.imread(str(tmp_path / "pictures/left.jpg"))[:, :, ::-1])
+    found = dataset(tmp_path)[0]
+    assert len(found.cloud) == 3
+    assert np.array_equal(found.image.rgb, cv2.imread(str(tmp_path / "pictures/left.jpg"))[:, :, ::-1])
 
 
 def test_a_frame_may_say_what_the_rows_of_its_sweep_hold(tmp_path: Path) -> None:
@@ -109,9 +132,6 @@ def test_a_frame_may_say_what_the_rows_of_its_sweep_hold(tmp_path: Path) -> None
     assert np.array_equal(cloud.xyz, rows[:, :3])
     assert np.array_equal(cloud.ring, rows[:, 4])
     assert cloud.intensity is None
-    write_frame(tmp_path, cloud_columns=["x", "y", "z", "rung"])
-    with pytest.raises(InputError, match=r"cloud\.bin: wrong cloud_columns; .*got x y z rung"):
-        dataset(tmp_path)[0]
 
 
 def test_the_only_picture_is_taken_and_of_several_none(tmp_path: Path) -> None:
@@ -119,7 +139,7 @@ def test_the_only_picture_is_taken_and_of_several_none(tmp_path: Path) -> None:
     (tmp_path / "image.png").rename(tmp_path / "IMG_1.png")
     assert len(dataset(tmp_path)[0].image.rgb) == HEIGHT
     write_image(tmp_path / "IMG_2.png")
-    with pytest.raises(InputError, match=r"the image is ambiguous; .*got IMG_1\.png, IMG_2\.png; name it in"):
+    with refused(r"the image is ambiguous; .*got IMG_1\.png, IMG_2\.png; name it in"):
         dataset(tmp_path)[0]
 
 
@@ -133,36 +153,22 @@ def test_right_picture_and_depth_come_along(tmp_path: Path) -> None:
     assert np.array_equal(image.right, right)
     assert image.baseline_m == 0.3
     assert np.isnan(image.depth_m[0, 0])
-    assert image.depth_m[0, 1] == np.inf
-    assert image.depth_m[5, 5] == 7.0
-
-
-def test_depth_as_a_16_bit_picture_is_metres_times_256(tmp_path: Path) -> None:
+    assert (image.depth_m[0, 1], image.depth_m[5, 5]) == (np.inf, 7.0)
     write_frame(tmp_path, depth="depth.png")
     cv2.imwrite(str(tmp_path / "depth.png"), np.full((HEIGHT, WIDTH), 12 * 256 + 64, np.uint16))
     assert (dataset(tmp_path)[0].image.depth_m == 12.25).all()
 
 
-def test_any_camera_model_is_welcome_and_an_unknown_one_named(tmp_path: Path) -> None:
-    fisheye = {**CAMERA, "model": "OPENCV_FISHEYE", "params": [50, 50, 31, 15, 0.01, 0, 0, 0]}
-    write_frame(tmp_path, camera=fisheye)
-    assert dataset(tmp_path)[0].camera.model == "OPENCV_FISHEYE"
-    write_frame(tmp_path, camera={**CAMERA, "model": "OPENCW"})
-    with pytest.raises(InputError, match=r"frame\.yaml: unknown camera model 'OPENCW'"):
-        dataset(tmp_path)[0]
-
-
-def test_an_image_that_does_not_fit_the_camera_is_refused_by_name(tmp_path: Path) -> None:
-    write_frame(tmp_path)
-    write_image(tmp_path / "image.png", size=(WIDTH, HEIGHT + 3))
-    with pytest.raises(InputError, match=r"image\.png: the image size does not fit the camera"):
-        dataset(tmp_path)[0]
-
-
-def test_an_image_of_another_size_but_the_same_shape_comes_with_the_factor(tmp_path: Path) -> None:
-    write_frame(tmp_path)
-    write_image(tmp_path / "image.png", size=(WIDTH // 2, HEIGHT // 2))
-    with pytest.raises(InputError, match=r"if the image was resized, scale fx, fy, cx, cy by 0\.5, and write the new"):
+@pytest.mark.parametrize(
+    ("size", "message"),
+    [
+        ((WIDTH, HEIGHT + 3), r"image\.png: the image size does not fit the camera"),
+        ((WIDTH // 2, HEIGHT // 2), r"if the image was resized, scale fx, fy, cx, cy by 0\.5, and write the new"),
+    ],
+)
+def test_an_image_of_another_size_is_refused_by_name(tmp_path: Path, size: tuple[int, int], message: str) -> None:
+    write_image(write_frame(tmp_path) / "image.png", size=size)
+    with refused(message):
         dataset(tmp_path)[0]
 
 
@@ -170,40 +176,51 @@ def test_an_array_called_cloud_is_the_sweep_and_others_are_not(tmp_path: Path) -
     write_frame(tmp_path, depth="depth.npy")
     (tmp_path / "cloud.bin").unlink()
     np.save(tmp_path / "depth.npy", np.full((HEIGHT, WIDTH), 9.0))
-    with pytest.raises(InputError, match=r"there is no cloud"):
+    with refused(r"there is no cloud"):
         dataset(tmp_path)[0]
     np.save(tmp_path / "cloud.npy", sweep())
     assert np.array_equal(dataset(tmp_path)[0].cloud.xyz, sweep()[:, :3])
 
 
-def test_a_depth_map_that_does_not_fit_is_refused_by_name(tmp_path: Path) -> None:
-    write_frame(tmp_path, depth="depth.npy")
-    np.save(tmp_path / "depth.npy", np.ones((3, 3)))
-    with pytest.raises(InputError, match=r"depth\.npy: the depth size does not fit the camera"):
-        dataset(tmp_path)[0]
-    np.save(tmp_path / "depth.npy", np.array([{}], dtype=object))
-    with pytest.raises(InputError, match=r"depth\.npy: this is not an \.npy file of numbers"):
-        dataset(tmp_path)[0]
+@pytest.mark.parametrize(
+    ("depth", "message"),
+    [
+        (np.ones((3, 3)), "the depth size does not fit"),
+        (np.array([{}], object), r"this is not an \.npy file of numbers"),
+    ],
+)
+def test_a_depth_map_that_is_none_is_refused_by_name(tmp_path: Path, depth: Any, message: str) -> None:
+    np.save(tmp_path / "depth.npy", depth)
+    with refused(rf"depth\.npy: {message}"):
+        frame(tmp_path, depth="depth.npy")
 
 
-@pytest.mark.parametrize("name", ["../outside.png", "/etc/hostname", "a/../../outside.png"])
-def test_paths_that_leave_the_folder_are_refused(tmp_path: Path, name: str) -> None:
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"image": "../outside.png"},
+        {"image": "/etc/hostname"},
+        {"image": "a/../../outside.png"},
+        {"camera": "../camchain.yaml#cam0"},
+    ],
+)
+def test_paths_that_leave_the_folder_are_refused(tmp_path: Path, content: dict[str, str]) -> None:
     write_image(tmp_path / "outside.png")
-    write_frame(tmp_path / "data", image=name)
-    with pytest.raises(InputError, match=r"frame\.yaml: the path '.*' leaves the folder of the data set"):
+    with refused(r"frame\.yaml: the path '.*' leaves the folder of the data set"):
+        frame(tmp_path / "data", **content)
+
+
+@pytest.mark.parametrize("name", ["cloud.bin", "frame.yaml"])
+def test_links_that_leave_the_folder_are_refused_and_links_inside_are_not(tmp_path: Path, name: str) -> None:
+    folder = write_frame(tmp_path / "data/a")
+    (folder / name).rename(folder / "inside")
+    (folder / name).symlink_to(folder / "inside")
+    assert len(dataset(tmp_path / "data")[0].cloud) == len(sweep())
+    (folder / "inside").rename(tmp_path / "outside")
+    (folder / name).unlink()
+    (folder / name).symlink_to(tmp_path / "outside")
+    with refused(rf"the path '{name}' leaves the folder of the data set"):
         dataset(tmp_path / "data")[0]
-
-
-def test_links_that_leave_the_folder_are_refused_and_links_inside_are_not(tmp_path: Path) -> None:
-    write_sweep(tmp_path / "outside.bin")
-    folder = write_frame(tmp_path / "data")
-    (folder / "cloud.bin").rename(folder / "sweep.dat")
-    (folder / "cloud.bin").symlink_to(folder / "sweep.dat")
-    assert len(dataset(folder)[0].cloud) == len(sweep())
-    (folder / "cloud.bin").unlink()
-    (folder / "cloud.bin").symlink_to(tmp_path / "outside.bin")
-    with pytest.raises(InputError, match=r"the path 'cloud\.bin' leaves the folder of the data set"):
-        dataset(folder)[0]
 
 
 def test_frames_may_share_a_file_of_their_dataset(tmp_path: Path) -> None:
@@ -212,194 +229,182 @@ def test_frames_may_share_a_file_of_their_dataset(tmp_path: Path) -> None:
     assert len(dataset(tmp_path)[0].cloud) == len(sweep())
 
 
-@pytest.mark.parametrize("text", ["!!python/object/apply:os.getcwd []", "camera: !!python/name:os.system ''"])
-def test_python_objects_in_yaml_are_refused_and_never_built(tmp_path: Path, text: str) -> None:
-    write_frame(tmp_path)
-    (tmp_path / "frame.yaml").write_text(text)
-    with pytest.raises(InputError, match=r"frame\.yaml: the frame file contains objects, which are not supported"):
-        dataset(tmp_path)[0]
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        ("!!python/object/apply:os.getcwd []", "the frame file contains objects, which are not supported"),
+        ("camera: !!python/name:os.system ''", "the frame file contains objects, which are not supported"),
         ("camera: [1, 2", "the frame file is not YAML"),
         ("just words", "the frame file has no keys"),
         ("", "the frame file is empty"),
-        (
-            "image: a.png",
-            "camera is missing; expected camera: model, width, .* or FILE; without a calibration, use model",
-        ),
-        (
-            "camera:",
-            r"camera is missing; .*field of view / 2\), and calibrate several frames .*pipeline\.camera=refine",
-        ),
-        (
-            "camera: {model: PINHOLE, width: wide, height: 3, params: [1]}",
-            r"camera\.width is not valid; .*got wide",
-        ),
+        ("image: a.png", "camera is missing; expected camera: model, width, .* or FILE; without a calibration, use"),
+        ("camera:", r"camera is missing; .*field of view / 2\), and calibrate several .*pipeline\.camera=refine"),
+        ("camera: {model: PINHOLE, width: wide, height: 3, params: [1]}", r"camera\.width is not valid; .*got wide"),
         ("camera: {width: 64, height: 32, params: [50, 50, 31]}", "a different number of parameters"),
-        (
-            "camera: {width: 64, height: 32, params: [50, 50, 31, 15]}\nstrat: 3",
-            "unknown key 'strat'.*mean start",
-        ),
+        ("camera: {width: 64, height: 32, params: [50, 50, 31, 15]}\nstrat: 3", "unknown key 'strat'.*mean start"),
     ],
 )
 def test_a_wrong_frame_file_says_which_key(tmp_path: Path, text: str, message: str) -> None:
-    write_frame(tmp_path)
-    (tmp_path / "frame.yaml").write_text(text)
-    with pytest.raises(InputError, match=rf"frame\.yaml: {message}|frame\.yaml: .*{message}"):
+    (write_frame(tmp_path) / "frame.yaml").write_text(text)
+    with refused(rf"frame\.yaml: .*{message}"):
         dataset(tmp_path)[0]
-
-
-@pytest.mark.parametrize(
-    ("pose", "message"),
-    [
-        (np.diag([1.0, 1, -1, 1]).tolist(), "start mirrors space"),
-        (np.diag([1.0, 2, 1, 1]).tolist(), "start is not orthonormal"),
-        ({"rotation_xyzw": [0, 0, 0, 2], "translation_m": [0, 0, 0]}, "the quaternion of start is not a rotation"),
-        ([[1, 0], [0, 1]], "start"),
-    ],
-)
-def test_a_start_that_is_no_pose_is_refused_by_name(tmp_path: Path, pose: Any, message: str) -> None:
-    write_frame(tmp_path, start=pose)
-    with pytest.raises(InputError, match=rf"frame\.yaml: .*{message}"):
-        dataset(tmp_path)[0]
-
-
-def test_a_start_may_be_told_in_words_and_a_truth_may_not(tmp_path: Path) -> None:
-    words = "roughly x forward, z up; camera looks forward; camera 0.27 m forward, 8 cm down of lidar"
-    write_frame(tmp_path, start=words)
-    expected = se3.make([[0, -1, 0], [0, 0, -1], [1, 0, 0]], [0, -0.08, -0.27])
-    assert np.allclose(dataset(tmp_path)[0].start, expected)
-    write_frame(tmp_path, start="roughly ahead")
-    with pytest.raises(InputError, match=r"frame.yaml.*expected two axes of x, y, z"):
-        dataset(tmp_path)[0]
-    write_frame(tmp_path, truth=words)
-    with pytest.raises(InputError, match="truth is not a pose"):
-        dataset(tmp_path)[0]
-
-
-@pytest.mark.parametrize("key", ["start", "truth"])
-def test_a_pose_in_the_wrong_direction_is_refused_by_name(tmp_path: Path, key: str) -> None:
-    write_frame(tmp_path, **{key: se3.inverse(VELO_TO_CAM).tolist()})
-    points = sweep()
-    write_sweep(tmp_path / "cloud.bin", points[np.abs(np.arctan2(points[:, 1], points[:, 0])) < 0.7])
-    with pytest.raises(InputError, match=rf"frame\.yaml: {key} looks like lidar_from_camera"):
-        dataset(tmp_path)[0]
-
-
-def test_a_right_picture_needs_its_baseline(tmp_path: Path) -> None:
-    write_frame(tmp_path, right="image.png")
-    with pytest.raises(InputError, match=r"frame\.yaml: a rectified pair needs its right image and its baseline"):
-        dataset(tmp_path)[0]
-
-
-def test_times_of_the_sweep_are_made_relative_to_the_image(tmp_path: Path) -> None:
-    write_frame(tmp_path, cloud="scan.npz", image_time_s=1.6e9)
-    np.savez(tmp_path / "scan.npz", xyz=np.ones((3, 3)), time_s=1.6e9 + np.array([-0.5, 0.0, 0.25]))
-    assert np.array_equal(dataset(tmp_path)[0].cloud.time_s, [-0.5, 0, 0.25])
-
-
-def test_an_image_of_another_moment_than_the_sweep_is_refused(tmp_path: Path) -> None:
-    write_frame(tmp_path, cloud="scan.npz", image_time_s=12.5)
-    np.savez(tmp_path / "scan.npz", xyz=np.ones((3, 3)), time_s=np.array([10.0, 10.05, 10.1]))
-    with pytest.raises(InputError, match=r"frame\.yaml: image and sweep are not of the same time; .* got 2\.4 s apart"):
-        dataset(tmp_path)[0]
-
-
-def test_times_on_no_known_clock_are_left_out(tmp_path: Path) -> None:
-    """Or a sweep that some driver has corrected already would be corrected for a motion that is guessed."""
-    write_frame(tmp_path, cloud="scan.npz")
-    np.savez(tmp_path / "scan.npz", xyz=np.ones((3, 3)), time_s=np.array([0.0, 0.05, 0.1]))
-    assert dataset(tmp_path)[0].cloud.time_s is None
-    write_frame(tmp_path, cloud="scan.npz", image_time_s=0)
-    assert np.array_equal(dataset(tmp_path)[0].cloud.time_s, [0.0, 0.05, 0.1])
-
-
-def test_the_unit_of_points_and_of_their_times_is_stated_in_the_frame_file(tmp_path: Path) -> None:
-    xyz, times = np.full((5, 3), 1500.0), np.linspace(0, 2e6, 5)
-    np.savez(tmp_path / "scan.npz", xyz=xyz, time=times, colour=times)
-    write_frame(tmp_path, cloud="scan.npz", image_time_s=1.0)
-    with pytest.raises(InputError, match=r"scan\.npz: the unit .* is ambiguous; .*in frame\.yaml, point_times: ns"):
-        dataset(tmp_path)[0]
-    write_frame(tmp_path, cloud="scan.npz", image_time_s=1.0, point_times="us", cloud_scale=0.001)
-    frame = dataset(tmp_path)[0]
-    np.testing.assert_allclose(frame.cloud.xyz, 1.5)
-    np.testing.assert_allclose(frame.cloud.time_s, np.linspace(-1, 1, 5), atol=1e-9)
-    assert (frame.warnings, frame.unused_fields) == ((), ("colour",))
-
-
-def test_a_sweep_is_corrected_by_the_velocity_that_is_given(tmp_path: Path) -> None:
-    """At 10 m/s, what was seen half a second before and after at 10 m ahead is 5 m nearer and farther by now."""
-    write_frame(tmp_path, cloud="scan.npz", twist=[0, 0, 0, 10, 0, 0])
-    np.savez(tmp_path / "scan.npz", xyz=np.array([[10.0, 0, 0]] * 3), time_s=np.array([-0.5, 0.0, 0.5]))
-    frame = dataset(tmp_path)[0]
-    assert np.allclose(frame.cloud.xyz, [[5, 0, 0], [10, 0, 0], [15, 0, 0]])
-    assert np.allclose(frame.cloud.as_measured(), [[10, 0, 0]] * 3)
-    assert np.array_equal(frame.twist, [0, 0, 0, 10, 0, 0])
-
-
-def test_a_velocity_without_times_and_one_that_is_no_number_are_refused(tmp_path: Path) -> None:
-    write_frame(tmp_path, twist=[0, 0, 0, 10, 0, 0])
-    with pytest.raises(InputError, match=r"cloud\.bin: a sweep without times cannot be compensated for motion"):
-        dataset(tmp_path)[0]
-    write_frame(tmp_path, twist=[0, 0, 0, 10, 0])
-    with pytest.raises(InputError, match=r"frame\.yaml: twist"):
-        dataset(tmp_path)[0]
-    np.savez(tmp_path / "scan.npz", xyz=np.ones((3, 3)), time_s=np.zeros(3))
-    write_frame(tmp_path, cloud="scan.npz", twist=[0, 0, 0, float("nan"), 0, 0])
-    with pytest.raises(InputError, match=r"frame\.yaml.*twist"):
-        dataset(tmp_path)[0]
-
-
-def test_a_folder_without_frames_says_what_it_should_hold(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"no frames; expected frame\.yaml in it or in its sub-folders"):
-        dataset(tmp_path)
 
 
 BALL = {"kind": "sphere", "radius_m": 0.25}
 CUBOID = {"kind": "box", "width_m": 0.9, "height_m": 0.7, "depth_m": 0.5}
 BOARD = {"kind": "checkerboard", "columns": 7, "rows": 5, "square_m": 0.1, "width_m": 1.0, "height_m": 0.8}
 HOLES = {"kind": "holes", "width_m": 1.2, "height_m": 0.8, "holes": [[-0.4, 0.0, 0.1], [0.4, 0.1, 0.12]]}
+STRETCHED = np.diag([1.0, 2, 1, 1]).tolist()
+WORDS = "roughly x forward, z up; camera looks forward; camera 0.27 m forward, 8 cm down of lidar"
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ({"start": np.diag([1.0, 1, -1, 1]).tolist()}, "start mirrors space"),
+        ({"start": STRETCHED}, "start is not orthonormal"),
+        ({"start": {"rotation_xyzw": [0, 0, 0, 2], "translation_m": [0, 0, 0]}}, "of start is not a rotation"),
+        ({"start": [[1, 0], [0, 1]]}, "start"),
+        ({"start": "roughly ahead"}, "expected two axes of x, y, z"),
+        ({"truth": WORDS}, "truth is not a pose"),
+        ({"lidar_world_from_lidar": STRETCHED}, "the rotation of lidar_world_from_lidar is not orthonormal"),
+        ({"camera_world_from_camera": STRETCHED}, "the rotation of camera_world_from_camera is not orthonormal"),
+        ({"camera": {**CAMERA, "model": "OPENCW"}}, "unknown camera model 'OPENCW'"),
+        ({"right": "image.png"}, "a rectified pair needs its right image and its baseline"),
+        ({"twist": [0, 0, 0, 10, 0]}, "twist"),
+        ({"sequence": 5}, "sequence is not valid"),
+        ({"time_s": "noon"}, "time_s is not valid"),
+        ({"time_s": float("nan")}, "time_s is not valid"),
+    ],
+)  # fmt: skip
+def test_a_wrong_value_is_refused_by_its_key(tmp_path: Path, content: dict[str, Any], message: str) -> None:
+    with refused(rf"frame\.yaml: .*{message}"):
+        frame(tmp_path, **content)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"twist": [0, 0, 0, 1e300, 0, 0]},
+        {"twist": [0, 0, 0, float("nan"), 0, 0]},
+        {"twist": [1e9, 0, 0, 0, 0, 0]},
+        {"image_time_s": 1e300},
+        {"baseline_m": 1e300, "right": "image.png"},
+        {"targets": [{**BOARD, "columns": 10**400}]},
+        {"targets": [{**BOARD, "width_m": 1e300}]},
+    ],
+)
+def test_numbers_that_nothing_has_are_refused(tmp_path: Path, wrong: dict[str, Any]) -> None:
+    with refused(r"frame\.yaml: .*(out of bounds|not valid|too large a number)"):
+        frame(tmp_path, times(0.0, 0.05, 0.1), **wrong)
+
+
+@pytest.mark.parametrize(
+    ("scan", "content", "message"),
+    [
+        (None, {"cloud_columns": ["x", "y", "z", "rung"]}, r"cloud\.bin: wrong cloud_columns; .*got x y z rung"),
+        (None, {"twist": [0, 0, 0, 10, 0, 0]}, r"cloud\.bin: a sweep without times cannot be compensated for motion"),
+        (None, {"start": "calib.json"}, "calib.json: the calibration file is missing"),
+        (
+            times(10.0, 10.05, 10.1),
+            {"image_time_s": 12.5},
+            r"frame\.yaml: image and sweep are not of the same time; .* got 2\.4 s apart",
+        ),
+        (
+            {"time": np.array([0.0, 1e6, 2e6])},
+            {"image_time_s": 1.0},
+            r"scan\.npz: the unit .* is ambiguous; .*in frame\.yaml, point_times: ns",
+        ),
+    ],
+)
+def test_what_does_not_fit_together_is_refused_by_the_file(
+    tmp_path: Path, scan: Any, content: dict[str, Any], message: str
+) -> None:
+    with refused(message):
+        frame(tmp_path, scan, **content)
+
+
+def test_a_start_may_be_told_in_words(tmp_path: Path) -> None:
+    expected = se3.make([[0, -1, 0], [0, 0, -1], [1, 0, 0]], [0, -0.08, -0.27])
+    assert np.allclose(frame(tmp_path, start=WORDS).start, expected)
+
+
+@pytest.mark.parametrize("key", ["start", "truth"])
+@pytest.mark.parametrize("form", ["rows", "npy"])
+def test_a_pose_in_the_wrong_direction_is_refused_by_name(tmp_path: Path, key: str, form: str) -> None:
+    inverse = se3.inverse(VELO_TO_CAM)
+    np.save(tmp_path / "pose.npy", inverse)
+    write_frame(tmp_path, **{key: "pose.npy" if form == "npy" else inverse.tolist()})
+    write_sweep(tmp_path / "cloud.bin", ahead())
+    with refused(rf"frame\.yaml: {key} looks like lidar_from_camera"):
+        dataset(tmp_path)[0]
+    stated = "pose.npy?direction=lidar_from_camera" if form == "npy" else {"lidar_from_camera": inverse.tolist()}
+    write_frame(tmp_path, start=stated)
+    np.testing.assert_allclose(dataset(tmp_path)[0].start, VELO_TO_CAM, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("scan", "content", "expected"),
+    [
+        (times(1.6e9 - 0.5, 1.6e9, 1.6e9 + 0.25), {"image_time_s": 1.6e9}, [-0.5, 0, 0.25]),
+        (times(0.0, 0.05, 0.1), {"image_time_s": 0}, [0.0, 0.05, 0.1]),
+        # Without a known clock, a sweep that some driver has corrected would be corrected for a guessed motion.
+        (times(0.0, 0.05, 0.1), {}, None),
+        (times(0.0, 0.05, 0.1), {"image_time_s": 0.05, "time_s": 900.0, "sequence": "yard"}, [-0.05, 0, 0.05]),
+    ],
+)
+def test_times_of_the_sweep_are_made_relative_to_the_image(
+    tmp_path: Path, scan: Any, content: dict[str, Any], expected: Any
+) -> None:
+    found = frame(tmp_path, scan, **content)
+    assert found.time_s == content.get("time_s")
+    if expected is None:
+        assert found.cloud.time_s is None
+    else:
+        assert np.allclose(found.cloud.time_s, expected, atol=1e-12)
+
+
+def test_the_unit_of_points_and_of_their_times_is_stated_in_the_frame_file(tmp_path: Path) -> None:
+    scan = {"xyz": np.full((5, 3), 1500.0), "time": np.linspace(0, 2e6, 5), "colour": np.ones(5)}
+    found = frame(tmp_path, scan, image_time_s=1.0, point_times="us", cloud_scale=0.001)
+    np.testing.assert_allclose(found.cloud.xyz, 1.5)
+    np.testing.assert_allclose(found.cloud.time_s, np.linspace(-1, 1, 5), atol=1e-9)
+    assert (found.warnings, found.unused_fields) == ((), ("colour",))
+
+
+def test_a_sweep_is_corrected_by_the_velocity_that_is_given(tmp_path: Path) -> None:
+    """At 10 m/s, what was seen half a second before and after at 10 m ahead is 5 m nearer and farther by now."""
+    scan = {"xyz": np.array([[10.0, 0, 0]] * 3), **times(-0.5, 0.0, 0.5)}
+    found = frame(tmp_path, scan, twist=[0, 0, 0, 10, 0, 0])
+    assert np.allclose(found.cloud.xyz, [[5, 0, 0], [10, 0, 0], [15, 0, 0]])
+    assert np.allclose(found.cloud.as_measured(), [[10, 0, 0]] * 3)
+    assert np.array_equal(found.twist, [0, 0, 0, 10, 0, 0])
+
+
+def test_a_folder_without_frames_says_what_it_should_hold(tmp_path: Path) -> None:
+    with refused(r"no frames; expected frame\.yaml in it or in its sub-folders"):
+        dataset(tmp_path)
 
 
 def test_sequence_time_and_poses_of_both_sensors_come_along(tmp_path: Path) -> None:
     lidar, camera = (se3.exp(np.array(v)) for v in ([0.1, 0, 0.2, 3, 4, 5.0], [0, 0.2, 0, -1, 0.5, 2.0]))
     quaternion = Rotation.from_matrix(camera[:3, :3]).as_quat().tolist()
-    write_frame(
+    found = frame(
         tmp_path,
         sequence="yard",
         time_s=12.5,
         lidar_world_from_lidar=lidar.tolist(),
         camera_world_from_camera={"rotation_xyzw": quaternion, "translation_m": camera[:3, 3].tolist()},
     )
-    frame = dataset(tmp_path)[0]
-    assert (frame.sequence, frame.time_s) == ("yard", 12.5)
-    assert np.allclose(frame.lidar_world_from_lidar, lidar, atol=1e-12)
-    assert np.allclose(frame.camera_world_from_camera, camera, atol=1e-12)
-    assert frame.camera_from_lidar is None
-
-
-def test_a_frame_that_says_nothing_of_them_stands_alone(tmp_path: Path) -> None:
-    frame = dataset(write_frame(tmp_path))[0]
-    assert (frame.sequence, frame.time_s, frame.targets) == ("", None, ())
-    assert (frame.lidar_world_from_lidar, frame.camera_world_from_camera) == (None, None)
-
-
-def test_the_time_of_the_frame_and_that_of_the_image_among_the_points_are_two_things(tmp_path: Path) -> None:
-    write_frame(tmp_path, cloud="scan.npz", image_time_s=0.05, time_s=900.0, sequence="yard")
-    np.savez(tmp_path / "scan.npz", xyz=np.ones((3, 3)), time_s=np.array([0.0, 0.05, 0.1]))
-    frame = dataset(tmp_path)[0]
-    assert np.allclose(frame.cloud.time_s, [-0.05, 0, 0.05])
-    assert frame.time_s == 900.0
-    write_frame(tmp_path, cloud="scan.npz", image_time_s=0.05)
-    assert dataset(tmp_path)[0].time_s is None
+    assert (found.sequence, found.time_s) == ("yard", 12.5)
+    assert np.allclose(found.lidar_world_from_lidar, lidar, atol=1e-12)
+    assert np.allclose(found.camera_world_from_camera, camera, atol=1e-12)
+    assert found.camera_from_lidar is None
 
 
 def test_targets_are_boards_with_corners_or_holes_balls_and_boxes(tmp_path: Path) -> None:
-    write_frame(tmp_path, targets=[BOARD, HOLES, BALL, CUBOID])
-    assert dataset(tmp_path)[0].targets == (
+    assert frame(tmp_path, targets=[BOARD, HOLES, BALL, CUBOID]).targets == (
         Checkerboard(7, 5, 0.1, 1.0, 0.8),
         HoleBoard(1.2, 0.8, ((-0.4, 0.0, 0.1), (0.4, 0.1, 0.12))),
         Sphere(0.25),
@@ -407,22 +412,23 @@ def test_targets_are_boards_with_corners_or_holes_balls_and_boxes(tmp_path: Path
     )
 
 
+def without(target: dict[str, Any], key: str) -> dict[str, Any]:
+    return {name: value for name, value in target.items() if name != key}
+
+
 @pytest.mark.parametrize(
     ("target", "message"),
     [
         ({**BOARD, "kind": "chekerboard"}, "unknown kind of target 'chekerboard'; .*did you mean checkerboard"),
-        (
-            {k: v for k, v in BOARD.items() if k != "kind"},
-            r"targets\.0\.kind is missing; .*or sphere or box",
-        ),
-        ({k: v for k, v in BOARD.items() if k != "square_m"}, r"targets\.0\.square_m is missing"),
-        ({k: v for k, v in HOLES.items() if k != "height_m"}, r"targets\.0\.height_m is missing"),
+        (without(BOARD, "kind"), r"targets\.0\.kind is missing; .*or sphere or box"),
+        (without(BOARD, "square_m"), r"targets\.0\.square_m is missing"),
+        (without(HOLES, "height_m"), r"targets\.0\.height_m is missing"),
         ({**BOARD, "width_m": 0}, r"targets\.0\.width_m is out of bounds; expected greater than 0; got 0"),
         ({**BOARD, "width_m": 0.3}, "the checkerboard is smaller than its pattern"),
         ({**BOARD, "size": 3}, r"unknown key of targets\.0 'size'; expected one of: columns, .* square_m"),
         ({**HOLES, "square_m": 3}, r"unknown key of targets\.0 'square_m'; expected one of: height_m, holes, width_m"),
         ({**BALL, "radius_m": -1}, r"targets\.0\.radius_m is out of bounds; expected greater than 0; got -1"),
-        ({k: v for k, v in CUBOID.items() if k != "depth_m"}, r"targets\.0\.depth_m is missing"),
+        (without(CUBOID, "depth_m"), r"targets\.0\.depth_m is missing"),
         ({**HOLES, "holes": []}, r"targets\.0\.holes is out of bounds"),
         ({**HOLES, "holes": [[0, 0]]}, r"targets\.0\.holes\.0"),
         ({**HOLES, "holes": [[0, 0, -0.1]]}, "a hole board needs holes with a positive radius"),
@@ -431,44 +437,41 @@ def test_targets_are_boards_with_corners_or_holes_balls_and_boxes(tmp_path: Path
     ],
 )
 def test_a_target_that_is_none_is_refused_by_its_key(tmp_path: Path, target: Any, message: str) -> None:
-    write_frame(tmp_path, targets=[target])
-    with pytest.raises(InputError, match=rf"frame\.yaml: .*{message}|frame\.yaml: {message}") as caught:
-        dataset(tmp_path)[0]
-    assert "\n" not in str(caught.value)
+    with refused(rf"frame\.yaml: .*{message}|frame\.yaml: {message}"):
+        frame(tmp_path, targets=[target])
 
 
-@pytest.mark.parametrize("key", ["lidar_world_from_lidar", "camera_world_from_camera"])
-def test_a_pose_of_a_sensor_that_is_not_rigid_is_refused_by_name(tmp_path: Path, key: str) -> None:
-    write_frame(tmp_path, **{key: np.diag([1.0, 2, 1, 1]).tolist()})
-    with pytest.raises(InputError, match=rf"frame\.yaml: the rotation of {key} is not orthonormal"):
-        dataset(tmp_path)[0]
+def test_an_unknown_kind_of_target_is_an_unknown_name(tmp_path: Path) -> None:
+    with pytest.raises(UnknownNameError, match="one of: box, checkerboard, holes, sphere; did you mean holes"):
+        frame(tmp_path, targets=[{**HOLES, "kind": "hole"}])
 
 
-@pytest.mark.parametrize(("key", "value"), [("sequence", 5), ("time_s", "noon"), ("time_s", float("nan"))])
-def test_a_sequence_that_is_no_text_and_a_time_that_is_no_number_are_refused(
-    tmp_path: Path, key: str, value: object
+@pytest.mark.parametrize(
+    ("frames", "expected"),
+    [
+        ([("yard", "", 1.0), ("yard", "", 1.0)], [1.0, "1 of frame 'a'; got 1"]),
+        ([("yard", "", 1.0), ("yard", "", 0.5), ("yard", "", 1.5)], [1.0, "1 of frame 'a'; got 0.5", 1.5]),
+        ([("yard", "", 5.0), ("road", "", 1.0), ("yard", "", 6.0), ("", "", 0.0)], [5.0, 1.0, 6.0, 0.0]),
+        ([("yard", "", 1.0), ("yard", "", None)], [1.0, None]),
+        (
+            [("yard", "LEFT", 1.0), ("yard", "RIGHT", 1.0), ("yard", "LEFT", 1.1), ("yard", "RIGHT", 1.0)],
+            [1.0, 1.0, 1.1, "1 of frame 'b'; got 1"],
+        ),
+    ],
+)
+def test_times_rise_from_frame_to_frame_of_one_camera_and_sequence(
+    tmp_path: Path, frames: list[tuple[str, str, float | None]], expected: list[Any]
 ) -> None:
-    write_frame(tmp_path, **{key: value})
-    with pytest.raises(InputError, match=rf"frame\.yaml: {key} is not valid"):
-        dataset(tmp_path)[0]
-
-
-@pytest.mark.parametrize("later_s", [1.0, 0.5])
-def test_frames_of_a_sequence_with_the_same_or_a_falling_time_are_refused(tmp_path: Path, later_s: float) -> None:
-    write_frame(tmp_path / "a", sequence="yard", time_s=1.0)
-    write_frame(tmp_path / "b", sequence="yard", time_s=later_s)
-    with pytest.raises(
-        InputError,
-        match=rf"b/frame\.yaml: the times of sequence 'yard' do not increase .*1 of frame 'a'; got {later_s:g}",
-    ):
-        dataset(tmp_path)[1]
-
-
-def test_times_of_several_sequences_rise_each_on_its_own_clock(tmp_path: Path) -> None:
-    for name, sequence, time_s in (("a", "yard", 5.0), ("b", "road", 1.0), ("c", "yard", 6.0), ("d", "", 0.0)):
-        write_frame(tmp_path / name, sequence=sequence, time_s=time_s)
-    write_frame(tmp_path / "e", sequence="road")
-    assert [frame.time_s for frame in dataset(tmp_path)] == [5.0, 1.0, 6.0, 0.0, None]
+    for name, (sequence, camera, time_s) in zip("abcd", frames, strict=False):
+        write_frame(tmp_path / name, sequence=sequence, camera_name=camera, time_s=time_s)
+    found = dataset(tmp_path)
+    for number, value in enumerate(expected):
+        if isinstance(value, str):
+            name = found.names[number]
+            with refused(rf"{name}/frame\.yaml: the times of sequence 'yard' do not increase .*time_s after {value}"):
+                found[number]
+        else:
+            assert (found[number].time_s, found[number].camera_name) == (value, frames[number][1])
 
 
 def test_a_damaged_frame_of_a_sequence_is_refused_when_it_is_read_and_not_before(tmp_path: Path) -> None:
@@ -476,22 +479,7 @@ def test_a_damaged_frame_of_a_sequence_is_refused_when_it_is_read_and_not_before
     write_frame(tmp_path / "b", sequence="yard", time_s=2.0, strat=3)
     found = dataset(tmp_path)
     assert found[0].time_s == 1.0
-    with pytest.raises(InputError, match="strat"):
-        found[1]
-
-
-def test_an_unknown_kind_of_target_is_an_unknown_name(tmp_path: Path) -> None:
-    write_frame(tmp_path, targets=[{**HOLES, "kind": "hole"}])
-    with pytest.raises(UnknownNameError, match="one of: box, checkerboard, holes, sphere; did you mean holes"):
-        dataset(tmp_path)[0]
-
-
-def test_the_other_frames_of_a_sequence_with_a_falling_time_are_read(tmp_path: Path) -> None:
-    for name, time_s in (("a", 1.0), ("b", 0.5), ("c", 1.5)):
-        write_frame(tmp_path / name, sequence="yard", time_s=time_s)
-    found = dataset(tmp_path)
-    assert [found[number].time_s for number in (0, 2)] == [1.0, 1.5]
-    with pytest.raises(InputError, match="do not increase"):
+    with refused("strat"):
         found[1]
 
 
@@ -508,9 +496,9 @@ def test_folders_that_cannot_be_read_are_left_out_and_named(tmp_path: Path, monk
     monkeypatch.setattr(Path, "iterdir", refuse)
     found = dataset(tmp_path)
     assert found.names == ("a",)
-    with pytest.raises(InputError, match=r"frame 'b' is left out; got .*cannot be read; got Permission denied"):
+    with refused(r"frame 'b' is left out; got .*cannot be read; got Permission denied"):
         found.frame("b")
-    with pytest.raises(InputError, match=r"b: the folder of frames cannot be read; got Permission denied"):
+    with refused(r"b: the folder of frames cannot be read; got Permission denied"):
         dataset(tmp_path / "b")
 
 
@@ -519,16 +507,8 @@ def test_a_folder_where_a_file_should_be_is_named(tmp_path: Path, name: str) -> 
     write_frame(tmp_path)
     (tmp_path / name).unlink()
     (tmp_path / name).mkdir()
-    with pytest.raises(InputError, match=rf"{name}: the .* is a folder"):
+    with refused(rf"{name}: the .* is a folder"):
         dataset(tmp_path)[0]
-
-
-def test_a_frame_file_that_lies_elsewhere_is_refused(tmp_path: Path) -> None:
-    write_frame(tmp_path / "data/a")
-    (tmp_path / "data/a/frame.yaml").rename(tmp_path / "outside.yaml")
-    (tmp_path / "data/a/frame.yaml").symlink_to(tmp_path / "outside.yaml")
-    with pytest.raises(InputError, match=r"the path 'frame\.yaml' leaves the folder of the data set"):
-        dataset(tmp_path / "data")[0]
 
 
 @pytest.mark.parametrize("name", [b"new\nline", b"\x1b[31mred", b"latin-\xe9", "\u202e\u00b2".encode()])
@@ -545,9 +525,8 @@ def test_folders_may_be_called_anything(tmp_path: Path, name: bytes) -> None:
 
 @pytest.mark.parametrize("root", ["~nosuch", "a\0b", "x" * 300])
 def test_a_root_that_no_folder_can_be_is_refused_in_one_line(root: str) -> None:
-    with pytest.raises(InputError) as caught:
+    with refused(r"\S"):
         dataset(Path(root))
-    assert "\n" not in str(caught.value)
 
 
 def test_the_poses_that_the_documentation_shows_look_ahead_along_the_lidars_x() -> None:
@@ -560,90 +539,35 @@ def test_the_poses_that_the_documentation_shows_look_ahead_along_the_lidars_x() 
         assert np.allclose(camera_from_lidar[:3, :3], [[0, -1, 0], [0, 0, -1], [1, 0, 0]], atol=1e-12)
 
 
-@pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"twist": [0, 0, 0, 1e300, 0, 0]},
-        {"twist": [1e9, 0, 0, 0, 0, 0]},
-        {"image_time_s": 1e300},
-        {"baseline_m": 1e300, "right": "image.png"},
-        {"targets": [{**BOARD, "columns": 10**400}]},
-        {"targets": [{**BOARD, "width_m": 1e300}]},
-    ],
-)
-def test_numbers_that_nothing_has_are_refused(tmp_path: Path, wrong: dict[str, Any]) -> None:
-    write_frame(tmp_path, cloud="scan.npz", **wrong)
-    np.savez(tmp_path / "scan.npz", xyz=np.ones((3, 3)), time_s=np.array([0.0, 0.05, 0.1]))
-    with pytest.raises(InputError, match=r"frame\.yaml: .*(out of bounds|not valid|too large a number)"):
-        dataset(tmp_path)[0]
-
-
-def test_frames_name_their_camera_and_times_rise_from_frame_to_frame_of_one_camera(tmp_path: Path) -> None:
-    for name, camera, time_s in (("a", "LEFT", 1.0), ("b", "RIGHT", 1.0), ("c", "LEFT", 1.1), ("d", "RIGHT", 1.0)):
-        write_frame(tmp_path / name, sequence="yard", time_s=time_s, camera_name=camera)
-    found = dataset(tmp_path)
-    assert [found[number].camera_name for number in range(3)] == ["LEFT", "RIGHT", "LEFT"]
-    with pytest.raises(InputError, match="do not increase from frame to frame; expected time_s after 1 of frame 'b'"):
-        found[3]
-
-
 @pytest.mark.parametrize("name", ["front left", "front,left", "a\tb", "x" * 101])
 def test_a_name_of_a_camera_that_is_no_word_is_refused(tmp_path: Path, name: str) -> None:
-    write_frame(tmp_path, camera_name=name)
-    with pytest.raises(InputError, match="the name of a camera is not valid"):
-        dataset(tmp_path)[0]
+    with refused("the name of a camera is not valid"):
+        frame(tmp_path, camera_name=name)
 
 
 def test_camera_start_and_truth_may_be_calibration_files(tmp_path: Path) -> None:
     """Files of other tools lie beside the frame, or above it within the dataset; their direction is their own."""
     home = tmp_path / "yard"
-    home.mkdir()
     write_frame(home, camera="../camchain.yaml#cam0", start="calib.json", truth="pose.yaml")
-    entry = read_frame_file(home / "frame.yaml")
-    assert entry.camera == "../camchain.yaml#cam0"
+    assert read_frame_file(home / "frame.yaml").camera == "../camchain.yaml#cam0"
     pose = se3.make([[0, -1, 0], [0, 0, -1], [1, 0, 0]], [0, -0.08, -0.27])
     camera = Camera.pinhole(50, 50, 31, 15.5, WIDTH, HEIGHT)
-    given = Calibration(camera, pose)
     places = {"kalibr": tmp_path / "camchain.yaml", "koide": home / "calib.json", "text": home / "pose.yaml"}
     for name, path in places.items():
-        path.write_bytes(FORMATS[name].written(given))
-    [frame] = dataset(tmp_path)
-    assert frame.camera == camera
-    np.testing.assert_allclose(frame.start, pose, atol=1e-12)
-    np.testing.assert_allclose(frame.camera_from_lidar, pose, atol=1e-12)
-
-
-def test_a_calibration_file_that_leaves_the_dataset_is_not_read(tmp_path: Path) -> None:
-    write_frame(tmp_path, camera="../camchain.yaml#cam0")
-    with pytest.raises(InputError, match=r"'../camchain.yaml' leaves the folder of the data set"):
-        dataset(tmp_path)[0]
-
-
-def test_a_calibration_file_that_is_missing_is_named(tmp_path: Path) -> None:
-    write_frame(tmp_path, start="calib.json")
-    with pytest.raises(InputError, match=r"calib.json: the calibration file is missing"):
-        dataset(tmp_path)[0]
-
-
-def test_a_calibration_file_in_the_wrong_direction_is_noticed(tmp_path: Path) -> None:
-    write_frame(tmp_path, start="pose.npy")
-    np.save(tmp_path / "pose.npy", se3.inverse(VELO_TO_CAM))
-    points = sweep()
-    write_sweep(tmp_path / "cloud.bin", points[np.abs(np.arctan2(points[:, 1], points[:, 0])) < 0.7])
-    with pytest.raises(InputError, match=r"frame\.yaml: start looks like lidar_from_camera"):
-        dataset(tmp_path)[0]
-    write_frame(tmp_path, start="pose.npy?direction=lidar_from_camera")
-    np.testing.assert_allclose(dataset(tmp_path)[0].start, VELO_TO_CAM, atol=1e-9)
+        path.write_bytes(FORMATS[name].written(Calibration(camera, pose)))
+    [found] = dataset(tmp_path)
+    assert found.camera == camera
+    np.testing.assert_allclose(found.start, pose, atol=1e-12)
+    np.testing.assert_allclose(found.camera_from_lidar, pose, atol=1e-12)
 
 
 def test_16_bit_images_of_cameras_are_read_with_a_remark(tmp_path: Path) -> None:
     write_frame(tmp_path, start=VELO_TO_CAM.tolist())
     grey = np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH) * 4095 // (HEIGHT * WIDTH - 1)
     cv2.imwrite(str(tmp_path / "image.png"), grey.astype(np.uint16))
-    frame = dataset(tmp_path)[0]
-    assert np.array_equal(frame.image.rgb[:, :, 1], grey >> 4)
-    assert "image.png: 16 bit image, divided by 16" in frame.warnings
+    found = dataset(tmp_path)[0]
+    assert np.array_equal(found.image.rgb[:, :, 1], grey >> 4)
+    assert "image.png: 16 bit image, divided by 16" in found.warnings
 
 
 @pytest.mark.parametrize("stored", [True, False])
@@ -653,19 +577,18 @@ def test_an_image_with_a_rotation_tag_fits_the_camera(tmp_path: Path, stored: bo
     exif = PIL.Image.Exif()
     exif[0x0112] = 6
     PIL.Image.fromarray(pixels if stored else np.rot90(pixels)).save(tmp_path / "image.png", exif=exif)
-    frame = dataset(tmp_path)[0]
-    assert np.array_equal(frame.image.rgb, pixels)
-    (remark,) = (warning for warning in frame.warnings if "EXIF" in warning)
+    found = dataset(tmp_path)[0]
+    assert np.array_equal(found.image.rgb, pixels)
+    (remark,) = (warning for warning in found.warnings if "EXIF" in warning)
     assert ("is ignored" if stored else "rotated by its EXIF tag") in remark
 
 
 @pytest.mark.parametrize("form", ["entry", "file"])
 def test_the_skew_of_a_camera_is_a_warning_of_the_frame(tmp_path: Path, form: str) -> None:
     camera = {"width": WIDTH, "height": HEIGHT, "K": [[50.0, 0.5, 31.0], [0, 50.0, 15.5], [0, 0, 1]]}
-    if form == "file":
-        (tmp_path / "camera.yaml").write_text(yaml.safe_dump(camera))
-    write_frame(tmp_path, camera="camera.yaml" if form == "file" else camera)
-    (warning,) = (text for text in dataset(tmp_path)[0].warnings if "skew" in text)
+    (tmp_path / "camera.yaml").write_text(yaml.safe_dump(camera))
+    found = frame(tmp_path, camera="camera.yaml" if form == "file" else camera)
+    (warning,) = (text for text in found.warnings if "skew" in text)
     assert "the skew 0.5 of camera.K is neglected; its largest effect in the image is 0.1" in warning
 
 
@@ -676,12 +599,10 @@ def test_only_quaternions_are_doubted_for_their_order(tmp_path: Path, form: str)
     x, y, z, w = (Rotation.from_matrix(VELO_TO_CAM[:3, :3]) * body.inv()).as_quat().tolist()
     swapped = [w, x, y, z]
     pose = se3.make(Rotation.from_quat(swapped).as_matrix(), VELO_TO_CAM[:3, 3])
-    start: Any = pose.tolist()
-    if form == "quaternion":
-        start = {"rotation_xyzw": swapped, "translation_m": VELO_TO_CAM[:3, 3].tolist()}
-    elif form in ("npy", "koide"):
-        start = "start.npy" if form == "npy" else "start.json"
-        given = Calibration(Camera.pinhole(50, 50, 31, 15.5, WIDTH, HEIGHT), pose)
+    given = Calibration(Camera.pinhole(50, 50, 31, 15.5, WIDTH, HEIGHT), pose)
+    start: Any = {"rotation_xyzw": swapped, "translation_m": PLACE} if form == "quaternion" else pose.tolist()
+    if form in ("npy", "koide"):
+        start = f"start{FORMATS[form].suffix}"
         (tmp_path / start).write_bytes(FORMATS[form].written(given))
     write_frame(tmp_path, start=start)
     np.save(tmp_path / "cloud.npy", street().xyz.astype(np.float32))

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from p2o import InputError, UnknownNameError, se3
-from p2o.cli import main
-from p2o.frames.frame import LazyFrames
-from p2o_datasets.kitti_360 import Kitti360Options, build
+from p2o import se3
 
-from .drive import SPEED_M_S, pixels, through
+from .drive import SPEED_M_S, check_projection, pixels, through
 from .kitti_360_files import (
     BODY_FROM,
     DRIVE,
@@ -27,12 +25,9 @@ from .kitti_360_files import (
     lidar,
     measured,
 )
+from .opened import opened, refused
 
-
-def dataset(root: Path, **options: Any) -> LazyFrames:
-    found = build(Kitti360Options(root=root, **options))
-    assert isinstance(found, LazyFrames)
-    return found
+dataset = partial(opened, "kitti-360")
 
 
 def mei_pixels(points: Any) -> Any:
@@ -71,7 +66,6 @@ def test_images_have_the_sweeps_of_their_numbers(tmp_path: Path) -> None:
     assert (frame.camera.model, frame.camera.width, frame.camera.height) == ("PINHOLE", *SIZE)
     assert (found[9].camera.width, found[9].camera.height) == FISHEYE_SIZE
     assert frame.warnings == ()
-    assert frame.cloud.ring is not None
     assert np.bincount(frame.cloud.ring).tolist() == [100] * 64
 
 
@@ -79,17 +73,12 @@ def test_images_have_the_sweeps_of_their_numbers(tmp_path: Path) -> None:
 def test_points_are_seen_where_the_data_set_itself_projects_them(tmp_path: Path, camera: str) -> None:
     for frame in dataset(Drive(tmp_path).write(), cameras=camera):
         expected = expected_pixels(camera, int(frame.name[-10:]))
-        assert frame.camera_from_lidar is not None
-        seen = frame.camera.project(se3.apply(frame.camera_from_lidar, frame.cloud.xyz))
-        inside = frame.camera.in_image(expected)
-        assert inside.sum() > 300
-        assert np.abs(seen - expected)[inside].max() < 0.02
+        check_projection(frame, expected, 300, 0.02)
 
 
 def test_pose_and_velocity_of_the_lidar_come_from_the_poses_of_the_car(tmp_path: Path) -> None:
     frame = dataset(Drive(tmp_path).write())[2]
     assert np.abs(frame.lidar_world_from_lidar - lidar(5)).max() < 1e-6
-    assert frame.twist is not None
     step = np.linalg.inv(lidar(5)) @ lidar(5.001)
     assert np.abs(frame.twist - se3.log(step) / (0.001 * TURN_S)).max() < 1e-4
     assert abs(np.linalg.norm(frame.twist[3:]) - SPEED_M_S) < 1
@@ -135,32 +124,15 @@ def test_stamps_that_are_lost_are_counted_in_turns(tmp_path: Path) -> None:
 def test_the_delay_of_the_image_moves_times_and_pose(tmp_path: Path) -> None:
     frame = dataset(Drive(tmp_path).write(), image_delay_s=0.01)[0]
     assert np.abs(frame.lidar_world_from_lidar - lidar(3 + 0.01 / TURN_S)).max() < 1e-6
-    assert frame.cloud.time_s is not None
     assert np.abs(frame.cloud.time_s - (-measured()[1] / (2 * np.pi) * TURN_S - 0.01)).max() < 1e-6
 
 
-def test_another_mounting_of_a_fisheye_changes_nothing_but_its_truth(tmp_path: Path) -> None:
-    honest = dataset(Drive(tmp_path / "a").write(), cameras="image_02")[0]
-    lying = Drive(tmp_path / "b")
-    name = "calibration/calib_cam_to_pose.txt"
-    lying.texts[name] = lying.texts[name].replace("image_03", "image_9").replace("image_02", "image_03")
-    lying.texts[name] = lying.texts[name].replace("image_9", "image_02")
-    frame = dataset(lying.write(), cameras="image_02")[0]
-    assert not np.allclose(frame.camera_from_lidar, honest.camera_from_lidar)
-    assert np.array_equal(frame.cloud.xyz, honest.cloud.xyz)
-    assert np.array_equal(frame.lidar_world_from_lidar, honest.lidar_world_from_lidar)
-
-
-def test_names_that_are_not_there_are_told_the_nearest(tmp_path: Path) -> None:
+def test_frames_without_a_sweep_are_left_out(tmp_path: Path) -> None:
     root = Drive(tmp_path).write()
-    with pytest.raises(UnknownNameError, match="did you mean image_0"):
-        dataset(root, cameras="image_04")
-    with pytest.raises(UnknownNameError, match=f"did you mean {DRIVE}"):
-        dataset(root, sequences="2013_05_28_drive_0002_sync")
     (tmp_path / f"data_3d_raw/{DRIVE}/velodyne_points/data/0000000004.bin").unlink()
     found = dataset(root, sequences=DRIVE)
     assert len(found) == 2
-    with pytest.raises(InputError, match=r"is left out.*0000000004.bin is missing"):
+    with refused(r"is left out.*0000000004.bin is missing"):
         found.frame(f"{DRIVE}/image_00/0000000004")
 
 
@@ -187,11 +159,8 @@ def test_wrong_files_are_one_line_that_names_them(tmp_path: Path, file: str, old
     drive = Drive(tmp_path)
     assert old in drive.texts[file]
     drive.texts[file] = drive.texts[file].replace(old, new)
-    with pytest.raises(InputError, match=words) as caught:
+    with refused(words, "" if "fit" in words else Path(file).name):
         dataset(drive.write())[0]
-    assert "\n" not in str(caught.value)
-    if "size" not in str(caught.value):
-        assert Path(file).name in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -211,30 +180,11 @@ def test_a_fisheye_that_is_none_is_one_line(tmp_path: Path, old: str, new: str, 
     text = drive.texts["calibration/image_02.yaml"]
     assert old in text
     drive.texts["calibration/image_02.yaml"] = text.replace(old, new, 1)
-    with pytest.raises(InputError, match=words) as caught:
+    with refused(words):
         dataset(drive.write(), cameras="image_02")[0]
-    assert "\n" not in str(caught.value)
 
 
-def test_folders_that_are_none_are_one_line_and_status_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "empty").mkdir()
-    (tmp_path / "bare/data_2d_raw" / DRIVE).mkdir(parents=True)
-    for folder, words in (
-        ("gone", "no such folder; expected the folder of KITTI-360"),
-        ("empty", "there are no drives of KITTI-360"),
-        ("bare", "no KITTI-360 frames"),
-    ):
-        assert main(["data", "check", f"kitti-360:{tmp_path / folder}"]) == 2
-        said = capsys.readouterr().err.strip()
-        assert words in said
-        assert "\n" not in said
-
-
-def test_every_frame_is_good_for_data_check(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    root = Drive(tmp_path).write()
-    assert main(["data", "check", f"kitti-360:{root}", "--set", "data.cameras=all"]) == 0
-    assert capsys.readouterr().out.splitlines()[-1] == "12 of 12 frames are good"
-
-
-def test_the_dataset_keeps_the_contract_of_its_slot(tmp_path: Path) -> None:
-    assert main(["plugin", "check", "kitti-360", "--set", f"data.root={Drive(tmp_path).write()}"]) == 0
+def test_a_drive_without_images_has_no_frames(tmp_path: Path) -> None:
+    (tmp_path / "data_2d_raw" / DRIVE).mkdir(parents=True)
+    with refused("no KITTI-360 frames"):
+        dataset(tmp_path)

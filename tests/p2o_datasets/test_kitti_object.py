@@ -1,14 +1,14 @@
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from p2o import InputError, UnknownNameError, se3
-from p2o.frames.frame import LazyFrames
-from p2o_datasets.kitti_object import KittiObjectOptions, build
+from p2o import UnknownNameError, se3
 
 from .kitti_files import PROJECTIONS, R_RECT, VELO_TO_CAM, numbers, write_image, write_lines, write_sweep
+from .opened import opened, refused
 
 
 def calib(**changes: object) -> dict[str, object]:
@@ -26,10 +26,7 @@ def write_frame(folder: Path, name: str, **changes: object) -> np.ndarray:
     return write_image(folder / f"image_2/{name}.png", seed=int(name))
 
 
-def dataset(root: Path, **options: object) -> LazyFrames:
-    found = build(KittiObjectOptions(root=root, **options))
-    assert isinstance(found, LazyFrames)
-    return found
+dataset = partial(opened, "kitti-object")
 
 
 def test_the_root_holds_training_or_is_it(tmp_path: Path) -> None:
@@ -72,39 +69,6 @@ def test_pykitti_compat_and_elevation_fix_have_their_effect(tmp_path: Path) -> N
     assert (changed.cloud.xyz[:, 2] - exact.cloud.xyz[:, 2]).mean() == pytest.approx(10 * np.radians(0.2), rel=0.01)
 
 
-def test_missing_files_are_named(tmp_path: Path) -> None:
-    write_frame(tmp_path, "000000")
-    write_image(tmp_path / "image_2/000001.png")
-    found = dataset(tmp_path)
-    assert found.names == ("000000",)
-    with pytest.raises(InputError, match=r"velodyne/000001\.bin is missing"):
-        found.frame("000001")
-    (tmp_path / "calib/000000.txt").unlink()
-    with pytest.raises(InputError, match=r"calib/000000\.txt: the calibration file is missing"):
-        found[0]
-
-
-def test_a_calibration_without_its_key_is_named(tmp_path: Path) -> None:
-    write_frame(tmp_path, "000000")
-    lines = calib()
-    del lines["R0_rect"]
-    write_lines(tmp_path / "calib/000000.txt", lines)
-    with pytest.raises(UnknownNameError, match=r"calib/000000\.txt: unknown key 'R0_rect'"):
-        dataset(tmp_path)[0]
-
-
-def test_an_image_without_the_principal_point_is_refused_by_name(tmp_path: Path) -> None:
-    write_frame(tmp_path, "000000")
-    write_image(tmp_path / "image_2/000000.png", size=(20, 32))
-    with pytest.raises(InputError, match=r"000000\.png: the image size does not fit the camera"):
-        dataset(tmp_path)[0]
-
-
-def test_a_folder_without_frames_says_what_it_should_hold(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"no KITTI object frames; expected frames with image_2/ID\.png"):
-        dataset(tmp_path)
-
-
 def test_frames_may_have_any_names_but_hidden_files_are_none(tmp_path: Path) -> None:
     write_frame(tmp_path / "training", "000000")
     for name in ("left-²", "._000000"):
@@ -116,8 +80,27 @@ def test_frames_may_have_any_names_but_hidden_files_are_none(tmp_path: Path) -> 
     assert found[1].name == "left-²"
 
 
-def test_a_right_camera_that_stands_to_the_left_is_refused(tmp_path: Path) -> None:
-    write_frame(tmp_path / "training", "000000", P3=numbers(PROJECTIONS[2] + [[0, 0, 0, 9.0], [0] * 4, [0] * 4]))
-    write_image(tmp_path / "training/image_3/000000.png")
-    with pytest.raises(InputError, match="the right camera is not to the right of the left one"):
-        dataset(tmp_path)[0]
+def test_missing_files_and_keys_and_wrong_cameras_are_named(tmp_path: Path) -> None:
+    with refused(r"no KITTI object frames; expected frames with image_2/ID\.png"):
+        dataset(tmp_path)
+    write_frame(tmp_path, "000000")
+    write_image(tmp_path / "image_2/000001.png")
+    found = dataset(tmp_path)
+    assert found.names == ("000000",)
+    with refused(r"velodyne/000001\.bin is missing"):
+        found.frame("000001")
+    write_image(tmp_path / "image_2/000000.png", size=(20, 32))
+    with refused(r"000000\.png: the image size does not fit the camera"):
+        found[0]
+    write_frame(tmp_path, "000000", P3=numbers(PROJECTIONS[2] + [[0, 0, 0, 9.0], [0] * 4, [0] * 4]))
+    write_image(tmp_path / "image_3/000000.png")
+    with refused("the right camera is not to the right of the left one"):
+        found[0]
+    lines = calib()
+    del lines["R0_rect"]
+    write_lines(tmp_path / "calib/000000.txt", lines)
+    with pytest.raises(UnknownNameError, match=r"calib/000000\.txt: unknown key 'R0_rect'"):
+        found[0]
+    (tmp_path / "calib/000000.txt").unlink()
+    with refused(r"calib/000000\.txt: the calibration file is missing"):
+        found[0]

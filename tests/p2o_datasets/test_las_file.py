@@ -12,6 +12,8 @@ import pytest
 from p2o import InputError
 from p2o_datasets.cloud_file import SUFFIXES, read_cloud
 
+from tests.p2o_datasets.opened import refused
+
 laspy = pytest.importorskip("laspy")
 COUNT = 400
 
@@ -82,9 +84,8 @@ def _changed(data: bytes, at: int, form: str, value: int) -> bytes:
 def test_a_damaged_file_is_refused_in_one_line(tmp_path: Path, data: bytes, message: str) -> None:
     path = tmp_path / "cloud.las"
     path.write_bytes(data)
-    with pytest.raises(InputError, match=message) as caught:
+    with refused(message):
         read_cloud(path)
-    assert "\n" not in str(caught.value)
 
 
 def test_a_file_on_which_the_unpacker_dies_is_refused(tmp_path: Path) -> None:

@@ -5,9 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from p2o import InputError
 from p2o_datasets.cloud_file import read_cloud
 from p2o_datasets.pcd_file import read_pcd, unpack_lzf
+
+from .opened import refused
 
 RECORD = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("_", "u1", 4), ("intensity", "<f4"), ("ring", "<u2")])
 
@@ -96,32 +97,8 @@ def test_every_encoding_gives_the_same_points(tmp_path: Path, encoding: str) -> 
 def test_a_cut_body_is_refused_by_name(tmp_path: Path, encoding: str, part: float) -> None:
     body = BODIES[encoding](table())
     (tmp_path / "a.pcd").write_bytes(header(encoding) + body[: int(part * len(body))])
-    with pytest.raises(InputError, match=r"a\.pcd: the (\.pcd file is truncated|point cloud is truncated|packed)"):
+    with refused(r"a\.pcd: the (\.pcd file is truncated|point cloud is truncated|packed)"):
         read_cloud(tmp_path / "a.pcd")
-
-
-def test_a_cut_or_wrong_header_is_refused_by_name() -> None:
-    with pytest.raises(InputError, match=r"a\.pcd: this is not a \.pcd file"):
-        read_pcd(header("ascii")[:60], Path("a.pcd"))
-    with pytest.raises(InputError, match=r"a\.pcd: the header of the \.pcd file is wrong"):
-        read_pcd(header("ascii").replace(b"SIZE 4 4 4 1 4 2", b"SIZE 4 4 4"), Path("a.pcd"))
-    with pytest.raises(InputError, match=r"a\.pcd: the header of the \.pcd file is wrong"):
-        read_pcd(header("ascii").replace(b"POINTS 40", b"POINTS many"), Path("a.pcd"))
-    with pytest.raises(InputError, match=r"a\.pcd: the header of the \.pcd file is wrong"):
-        read_pcd(header("binary").replace(b"COUNT 1", b"COUNT 99999999999"), Path("a.pcd"))
-    with pytest.raises(InputError, match=r"a\.pcd: unknown DATA"):
-        read_pcd(header("zipped"), Path("a.pcd"))
-
-
-def test_words_among_the_numbers_are_refused() -> None:
-    with pytest.raises(InputError, match=r"a\.pcd: the points are not numbers"):
-        read_pcd(header("ascii") + ascii_body(table()).replace(b"0.5", b"abc", 1), Path("a.pcd"))
-
-
-def test_a_header_that_promises_too_much_is_refused_before_memory_is_taken() -> None:
-    data = header("binary_compressed", count=10**9) + struct.pack("<II", 4, 0) + b"abcd"
-    with pytest.raises(InputError, match=r"a\.pcd: the compressed size"):
-        read_pcd(data, Path("a.pcd"))
 
 
 def test_missing_returns_written_as_nan_are_dropped(tmp_path: Path) -> None:
@@ -147,7 +124,7 @@ def test_lzf_undoes_the_packing_of_any_bytes(seed: int) -> None:
 
 @pytest.mark.parametrize("packed", [bytes([32, 5]), b"\x01ab" + bytes([32, 9]), b"\x01ab" + bytes([7 << 5]), b"\x05ab"])
 def test_damaged_lzf_is_refused_by_name(packed: bytes) -> None:
-    with pytest.raises(InputError, match=r"a\.pcd: the compressed points of the \.pcd file are damaged"):
+    with refused(r"a\.pcd: the compressed points of the \.pcd file are damaged"):
         unpack_lzf(packed, 11, Path("a.pcd"))
 
 
@@ -212,12 +189,6 @@ def test_structs_aligned_by_a_compiler_alone_are_read(tmp_path: Path) -> None:
     assert np.array_equal(cloud.time_s, rows["time"])
 
 
-def test_structs_that_no_alignment_fills_are_refused() -> None:
-    head = struct_header("x y z _ intensity", "4 4 4 1 4", "F F F U F", "1 1 1 0 1")
-    with pytest.raises(InputError, match=r"a\.pcd: the fields of the \.pcd file do not fill its points; .*16 bytes"):
-        read_pcd(head + bytes(40 * 57), Path("a.pcd"))
-
-
 def test_a_line_end_after_the_points_does_no_harm() -> None:
     rows = table()
     fields = read_pcd(header("binary") + rows.tobytes() + b"\n", Path("a.pcd"))
@@ -235,25 +206,46 @@ def test_packed_points_without_the_padding_of_their_header_are_read(tmp_path: Pa
     assert np.array_equal(cloud.intensity, rows["intensity"])
 
 
-def test_lines_with_more_columns_than_the_header_says_are_refused() -> None:
-    lines = ascii_body(table()).replace(b"\n", b" 7\n")
-    with pytest.raises(InputError, match=r"a\.pcd: .*other columns; expected 9 numbers per line; got 10 numbers"):
-        read_pcd(header("ascii") + lines, Path("a.pcd"))
+def ascii_file(old: bytes = b"", new: bytes = b"", count: int = -1) -> bytes:
+    return header("ascii") + ascii_body(table()).replace(old, new, count)
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (header("ascii")[:60], r"this is not a \.pcd file"),
+        (header("zipped"), "unknown DATA"),
+        (ascii_file(b"0.5", b"abc", 1), "the points are not numbers"),
+        (ascii_file(b"\n", b" 7\n"), ".*other columns; expected 9 numbers per line; got 10 numbers"),
+        # More than the memory, before it is taken.
+        (header("binary_compressed", 10**9) + struct.pack("<II", 4, 0) + b"abcd", "the compressed size"),
+        (
+            struct_header("x y z _ intensity", "4 4 4 1 4", "F F F U F", "1 1 1 0 1") + bytes(40 * 57),
+            r"the fields of the \.pcd file do not fill its points; .*16 bytes",
+        ),
+    ],
+)
+def test_a_damaged_file_is_refused_by_name(data: bytes, message: str) -> None:
+    with refused(rf"a\.pcd: {message}"):
+        read_pcd(data, Path("a.pcd"))
 
 
 @pytest.mark.parametrize(
     ("old", "new"),
     [
+        (b"POINTS 40", b"POINTS many"),
         (b"POINTS 40", b"POINTS " + b"9" * 5000),
         (b"POINTS 40", b"POINTS 1e23"),
+        (b"SIZE 4 4 4 1 4 2", b"SIZE 4 4 4"),
         (b"SIZE 4 4 4", b"SIZE 4,f4 4 4"),
         (b"SIZE 4 4 4", b"SIZE 16 4 4"),
         (b"COUNT 1 1 1 4 1 1", b"COUNT 0 0 0 0 0 0"),
+        (b"COUNT 1", b"COUNT 99999999999"),
         (b"COUNT 1", b"COUNT " + b"9" * 3000),
     ],
 )
 @pytest.mark.parametrize("encoding", BODIES)
-def test_headers_with_absurd_numbers_are_refused(encoding: str, old: bytes, new: bytes) -> None:
+def test_a_wrong_header_is_refused_by_name(encoding: str, old: bytes, new: bytes) -> None:
     data = (header(encoding) + BODIES[encoding](table())).replace(old, new, 1)
-    with pytest.raises(InputError, match=r"a\.pcd: (the header of the \.pcd file is wrong|this is not a \.pcd file)"):
+    with refused(r"a\.pcd: (the header of the \.pcd file is wrong|this is not a \.pcd file)"):
         read_pcd(data, Path("a.pcd"))

@@ -16,6 +16,8 @@ import pytest
 from p2o import InputError
 from p2o_datasets.pickled_table import read_pickled_table
 
+from tests.p2o_datasets.opened import refused
+
 from .pandas_pickles import PICKLES, D, T, X
 from .pandaset_files import pickled
 
@@ -41,9 +43,8 @@ def test_tables_of_pandas_1_and_2_are_read(tmp_path: Path, label: str, packed: b
 
 def test_tables_of_pandas_3_are_refused_with_a_way_out(tmp_path: Path) -> None:
     label = next(label for label in PICKLES if label.startswith("3"))
-    with pytest.raises(InputError, match=r"the name pandas.DataFrame.*write its numeric columns again") as caught:
+    with refused(r"the name pandas.DataFrame.*write its numeric columns again"):
         read(tmp_path, PICKLES[label])
-    assert "\n" not in str(caught.value)
 
 
 def test_a_table_in_the_order_of_fortran_and_one_of_single_numbers_are_read(tmp_path: Path) -> None:
@@ -128,9 +129,8 @@ def test_names_beyond_those_of_tables_are_refused(tmp_path: Path, name: str) -> 
     ],
 )
 def test_steps_that_make_no_table_are_one_line(tmp_path: Path, steps: bytes, words: str) -> None:
-    with pytest.raises(InputError, match=words) as caught:
+    with refused(words):
         read(tmp_path, b"\x80\x04" + steps if steps else b"")
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -150,9 +150,8 @@ def test_steps_that_make_no_table_are_one_line(tmp_path: Path, steps: bytes, wor
 )
 def test_tables_whose_parts_do_not_fit_are_one_line(tmp_path: Path, change: Any, words: str) -> None:
     columns = {"x": np.array([1.5, 2.5]), "d": np.array([3, 4])}
-    with pytest.raises(InputError, match=words) as caught:
+    with refused(words):
         read(tmp_path, pickled(columns, **change), ("x", "d"))
-    assert "\n" not in str(caught.value)
 
 
 def test_a_file_that_is_cut_off_or_unpacks_to_too_much_is_one_line(

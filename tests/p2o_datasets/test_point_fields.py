@@ -205,14 +205,7 @@ def test_the_unit_of_times_is_told_by_how_long_a_sweep_takes(times: Any, accurac
     image_ns = STAMP_NS + 40_000_000
     found, remark = after(times, image_ns)
     assert remark is None
-    assert found is not None
     assert np.abs(found - (TURN_S - 0.04)).max() < accuracy_s
-
-
-def test_times_before_the_stamp_stay_before_it() -> None:
-    found, _ = after(TURN_S - 0.0998)
-    assert found is not None
-    assert np.allclose(found, TURN_S - 0.0998, atol=1e-9)
 
 
 @pytest.mark.parametrize("times", [TURN_S * 20, TURN_S * 1e-4, TURN_S * 1e12])
@@ -223,40 +216,29 @@ def test_a_unit_that_cannot_be_told_is_asked_for(times: Any) -> None:
 
 def test_a_unit_that_is_given_is_taken_and_none_leaves_times_out() -> None:
     found, _ = after(TURN_S * 20, unit="s")
-    assert found is not None
     assert found.max() == pytest.approx(20 * 0.0998)
     assert after(TURN_S * 20, unit="none") == (None, None)
-
-
-@pytest.mark.parametrize("start_s", [5.0, 1e9, -7.0])
-def test_times_on_another_clock_are_refused(start_s: float) -> None:
-    with pytest.raises(InputError, match=r"on different clocks.*data.point_times=none"):
-        after(start_s + TURN_S)
-
-
-def test_times_beyond_all_clocks_are_refused() -> None:
-    times = np.array([1e300, np.nextafter(1e300, 2e300)])
-    with pytest.raises(InputError, match="on different clocks"):
-        after(times, unit="s")
-
-
-def test_times_that_say_nothing_are_left_out_with_a_remark() -> None:
-    found, remark = after(np.zeros(9))
-    assert found is None
-    assert remark is not None
-    assert "all are the same" in remark
-    found, remark = after(np.full(9, np.nan))
-    assert found is None
-    assert remark is not None
-    assert "not finite" in remark
 
 
 def test_times_of_missing_returns_do_not_count() -> None:
     times = (TURN_S * 1e9).round().astype(np.uint32) + 5_000_000
     times[::7] = 0
-    columns = {axis: np.where(times == 0, np.nan, 1.0) for axis in "xyz"}
-    usable = usable_points(columns)
+    usable = usable_points(np.where(times[:, None] == 0, np.nan, [1.0, 1.0, 1.0]))
     assert usable.sum() == np.count_nonzero(times)
     found, _ = after(times, usable=usable)
-    assert found is not None
     assert np.allclose(found[usable], TURN_S[usable] + 0.005, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    "times", [5.0 + TURN_S, 1e9 + TURN_S, -7.0 + TURN_S, np.array([1e300, np.nextafter(1e300, 2e300)])]
+)
+def test_times_on_another_clock_are_refused(times: Any) -> None:
+    with pytest.raises(InputError, match=r"on different clocks.*data.point_times=none"):
+        after(times, unit="s")
+
+
+@pytest.mark.parametrize(("times", "why"), [(np.zeros(9), "all are the same"), (np.full(9, np.nan), "not finite")])
+def test_times_that_say_nothing_are_left_out_with_a_remark(times: Any, why: str) -> None:
+    found, remark = after(times)
+    assert found is None
+    assert why in remark

@@ -1,48 +1,154 @@
-"""What holds for every data set of a rig alike: the commands of the docs, cameras by name, frames by name."""
+"""What holds for every data set of a rig alike: commands of the docs, cameras, frames by name, and bad input."""
 
 from __future__ import annotations
 
 import json
 import re
 import shlex
+import sys
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
-from p2o import Kind, Registry, UnknownNameError
+from p2o import UnknownNameError
 from p2o.cli import main
 
-from . import argoverse2_files, kitti_360_files, once_files, pandaset_files, waymo_files
+from . import argoverse2_files, kitti_360_files, nuscenes_files, once_files, pandaset_files, waymo_files
+from .drive import car
+from .opened import opened, refused
+from .waymo_record_files import write_records
 
 PAGE = Path(__file__).parents[2] / "docs/datasets.md"
-WRITERS: dict[str, Callable[[Path], Path]] = {
-    "argoverse2": lambda root: argoverse2_files.Log(root).write(),
-    "kitti-360": lambda root: kitti_360_files.Drive(root).write(),
-    "once": lambda root: once_files.Sequence(root).write(),
-    "pandaset": lambda root: pandaset_files.Drive(root).write(),
-    "waymo": lambda root: waymo_files.Segment(root).write(),
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Files of a data set: two cameras in them, a shift of the first camera, and wrong options with their nearest."""
+
+    files: Callable[[Path], Any]
+    cameras: tuple[str, str]
+    slip: Callable[[Any], None]
+    frames: int
+    title: str
+    nothing: str
+    wrong: dict[str, tuple[str, str]]
+    write: Callable[[Any], Any] = lambda files: files.write()
+    data_set: str = ""
+
+
+def shifted_fisheye(texts: dict[str, str]) -> None:
+    name = "calibration/calib_cam_to_pose.txt"
+    rows = [line.split() for line in texts[name].splitlines()]
+    for row in rows:
+        row[4] = str(float(row[4]) + (row[0] == "image_02:"))
+    texts[name] = "".join(" ".join(row) + "\n" for row in rows)
+
+
+def slipped_poses(drive: pandaset_files.Drive) -> None:
+    slipped = pandaset_files.CAR_FROM["front_camera"] + np.eye(4)[0][:, None] * [0, 0, 0, 1.0]
+    times = [time + pandaset_files.LATER_S["front_camera"] for time in drive.times]
+    drive.files["camera/front_camera/poses.json"] = [pandaset_files.pose(car(time) @ slipped) for time in times]
+
+
+def shifted(values: Any, at: Any, by: float = 1.0) -> None:
+    values[at] += by
+
+
+RIGS = {
+    "argoverse2": Rig(
+        argoverse2_files.Log,
+        ("ring_front_center", "ring_rear_left"),
+        lambda log: shifted(log.mountings["tx_m"], 0),
+        6,
+        "Argoverse 2",
+        "there are no logs of Argoverse 2",
+        {"cameras": ("ring_front_centre", "ring_front_center"), "logs": ("0267", "")},
+    ),
+    "kitti-360": Rig(
+        kitti_360_files.Drive,
+        ("image_02", "image_00"),
+        lambda drive: shifted_fisheye(drive.texts),
+        6,
+        "KITTI-360",
+        "there are no drives of KITTI-360",
+        {
+            "cameras": ("image_04", "image_0"),
+            "sequences": ("2013_05_28_drive_0002_sync", kitti_360_files.DRIVE),
+        },
+    ),
+    "nuscenes": Rig(
+        nuscenes_files.Tree,
+        ("CAM_FRONT", "CAM_BACK"),
+        lambda tree: shifted(tree.tables["calibrated_sensor"][0]["translation"], 0),
+        8,
+        "nuScenes",
+        "there are no tables of nuScenes",
+        {
+            "cameras": ("CAM_FRNT", "CAM_FRONT"),
+            "scenes": ("scene-0062", "scene-0061"),
+            "version": ("v1.0-min", r"v1\.0-mini"),
+        },
+    ),
+    "once": Rig(
+        once_files.Sequence,
+        ("cam01", "cam09"),
+        lambda sequence: shifted(sequence.content["calib"]["cam01"]["cam_to_velo"][0], 3),
+        6,
+        "ONCE",
+        "there are no sequences of ONCE",
+        {"cameras": ("cam02", "cam0"), "sequences": ("000028", "000027")},
+    ),
+    "pandaset": Rig(
+        pandaset_files.Drive,
+        ("front_camera", "left_camera"),
+        slipped_poses,
+        8,
+        "PandaSet",
+        "there are no sequences of PandaSet",
+        {"cameras": ("front", "front_camera"), "sequences": ("002", "001")},
+    ),
+    "waymo": Rig(
+        waymo_files.Segment,
+        ("FRONT", "SIDE_LEFT"),
+        lambda segment: shifted(
+            segment.components["camera_calibration"][0]["[CameraCalibrationComponent].extrinsic.transform"], 3
+        ),
+        6,
+        "Waymo",
+        "there are no segments of Waymo",
+        {"cameras": ("FRONT_LFT", "FRONT_LEFT"), "segments": (waymo_files.SEGMENT[:-1], waymo_files.SEGMENT)},
+    ),
 }
-CAMERAS = {
-    "argoverse2": ("ring_front_center", "ring_rear_left"),
-    "kitti-360": ("image_00", "image_02"),
-    "once": ("cam01", "cam09"),
-    "pandaset": ("front_camera", "left_camera"),
-    "waymo": ("FRONT", "SIDE_LEFT"),
-}
+RIGS["waymo-v1"] = Rig(
+    **{**vars(RIGS["waymo"]), "data_set": "waymo", "write": lambda segment: write_records(segment).parent}
+)
+ON_PAGE = ("argoverse2", "kitti-360", "once", "pandaset", "waymo")
+every_rig = pytest.mark.parametrize("name", RIGS)
+
+
+def written(name: str, root: Path, change: Callable[[Any], None] = lambda files: None) -> tuple[str, Path]:
+    """Return the name of the data set and the root of its files."""
+    files = RIGS[name].files(root)
+    change(files)
+    RIGS[name].write(files)
+    return RIGS[name].data_set or name, root
 
 
 def lines() -> list[str]:
     """Return the commands of the page that name one of these data sets."""
     blocks = re.findall(r"```sh\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
-    return [line for block in blocks for line in block.splitlines() if re.search(rf"\b({'|'.join(WRITERS)}):/", line)]
+    return [line for block in blocks for line in block.splitlines() if re.search(rf"\b({'|'.join(ON_PAGE)}):/", line)]
 
 
 @pytest.mark.parametrize("line", lines())
 def test_the_commands_of_the_page_do_what_they_say(
     tmp_path: Path, line: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    name = next(name for name in WRITERS if f"{name}:/" in line)
-    root = WRITERS[name](tmp_path)
+    name = next(name for name in ON_PAGE if f"{name}:/" in line)
+    _, root = written(name, tmp_path)
     words = shlex.split(re.sub(rf"{name}:/\S+", f"{name}:{root}", line))[1:]
     run = words[0] == "run"
     # Nothing is to be seen on these pictures, and the quickest method finds that out.
@@ -54,33 +160,82 @@ def test_the_commands_of_the_page_do_what_they_say(
 
 
 def test_every_data_set_has_a_command_on_the_page() -> None:
-    assert {name for name in WRITERS for line in lines() if f"{name}:/" in line} == set(WRITERS)
+    assert {name for name in ON_PAGE for line in lines() if f"{name}:/" in line} == set(ON_PAGE)
 
 
-@pytest.mark.parametrize("name", WRITERS)
+@every_rig
 def test_a_run_of_the_rig_has_a_result_for_each_camera(
     tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    data = f"{name}:{WRITERS[name](tmp_path)}"
-    words = ["--set", f"data.cameras={','.join(CAMERAS[name])}", "--rig", "--perturb", "1deg 0.05m", "--json"]
+    data_set, root = written(name, tmp_path)
+    words = ["--set", f"data.cameras={','.join(RIGS[name].cameras)}", "--rig", "--perturb", "1deg 0.05m", "--json"]
     quick = ["--extractor", "canny/range-view", "--matcher", "nearest"]
-    assert main(["run", "--data", data, *words, *quick]) == 1
+    assert main(["run", "--data", f"{data_set}:{root}", *words, *quick]) == 1
     found = json.loads(capsys.readouterr().out)
-    assert [result["camera"] for result in found["results"]] == list(CAMERAS[name])
+    assert {result["camera"] for result in found["results"]} == set(RIGS[name].cameras)
     assert found["failed"] == []
 
 
-@pytest.mark.parametrize("name", WRITERS)
+@every_rig
 def test_frames_are_asked_for_by_name_and_unknown_ones_are_told_the_nearest(
     tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    root = WRITERS[name](tmp_path)
-    method = Registry.load().find(Kind.DATASET, name).method
-    found = method.build(method.options(root=root))
+    data_set, root = written(name, tmp_path)
+    found = opened(data_set, root)
     first, second, *_ = found.names
     assert found.frame(second).name == found[1].name == second
     assert found[1:][0].name == second
     with pytest.raises(UnknownNameError, match="did you mean"):
         found.frame(first[:-1] + "x")
-    assert main(["data", "check", f"{name}:{root}", "--frames", second]) == 0
+    assert main(["data", "check", f"{data_set}:{root}", "--frames", second]) == 0
     assert "1 of 1 frames are good" in capsys.readouterr().out
+
+
+@every_rig
+def test_every_frame_is_good_and_the_data_set_keeps_the_contract_of_its_slot(
+    tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data_set, root = written(name, tmp_path)
+    cameras, count = ",".join(RIGS[name].cameras), RIGS[name].frames
+    assert len(opened(data_set, root, cameras=cameras)) == count
+    assert main(["data", "check", f"{data_set}:{root}", "--set", f"data.cameras={cameras}"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == f"{count} of {count} frames are good"
+    assert main(["plugin", "check", data_set, "--set", f"data.root={root}"]) == 0
+
+
+@every_rig
+def test_another_mounting_of_the_camera_changes_nothing_but_the_truth(tmp_path: Path, name: str) -> None:
+    (data_set, root), (_, other) = written(name, tmp_path / "a"), written(name, tmp_path / "b", RIGS[name].slip)
+    honest, frame = (opened(data_set, at, cameras=RIGS[name].cameras[0])[0] for at in (root, other))
+    assert not np.allclose(frame.camera_from_lidar, honest.camera_from_lidar)
+    assert np.array_equal(frame.cloud.xyz, honest.cloud.xyz)
+    assert np.array_equal(frame.lidar_world_from_lidar, honest.lidar_world_from_lidar)
+
+
+@every_rig
+def test_options_that_name_nothing_are_told_the_nearest(tmp_path: Path, name: str) -> None:
+    data_set, root = written(name, tmp_path)
+    for option, (value, nearest) in RIGS[name].wrong.items():
+        with pytest.raises(UnknownNameError, match=f"did you mean {nearest}" if nearest else "unknown"):
+            opened(data_set, root, **{option: value})
+
+
+@every_rig
+def test_folders_that_are_none_are_one_line_and_status_2(
+    tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "empty").mkdir()
+    rig = RIGS[name]
+    for folder, words in (("gone", f"no such folder; expected the folder of {rig.title}"), ("empty", rig.nothing)):
+        assert main(["data", "check", f"{rig.data_set or name}:{tmp_path / folder}"]) == 2
+        said = capsys.readouterr().err.strip()
+        assert words in said
+        assert "\n" not in said
+
+
+@pytest.mark.parametrize("name", ["argoverse2", "waymo"])
+def test_without_pyarrow_it_says_what_to_install(tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    data_set, root = written(name, tmp_path)
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with refused(r'needs pyarrow, which is not installed.*pip install "p2o-calib\[arrow\]"'):
+        opened(data_set, root)[0]

@@ -5,6 +5,7 @@ import pickle
 import sqlite3
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +13,11 @@ import numpy as np
 import p2o
 import PIL.Image
 import pytest
-from p2o import Camera, Cloud, Dataset, Frame, InputError, Registry, UnknownNameError, se3
+from p2o import Camera, Cloud, Dataset, Frame, Registry, UnknownNameError, se3
 from p2o.cli import main
-from p2o.frames.frame import LazyFrames
 from p2o.run.recipe import open_dataset
 from p2o_datasets.bags.bag import Bag
 from p2o_datasets.bags.overview import overview
-from p2o_datasets.ros import RosOptions, build
 
 from tests.bag_files import (
     FORMS,
@@ -40,16 +39,15 @@ from tests.bag_files import (
     write_bag,
 )
 
+from .opened import opened, refused
+
 CAMERA = Camera.pinhole(20, 20, 7, 5, 16, 12)
 START_NS = 1_700_000_000_000_000_000
 AXES = [[0, -1, 0], [0, 0, -1], [1, 0, 0]]
 TRUTH = se3.exp(np.array([0.01, 0.02, -0.03, 0, 0, 0])) @ se3.make(AXES, [0.1, -0.2, -0.3])
 
 
-def dataset(path: Path, **options: Any) -> LazyFrames:
-    found = build(RosOptions(root=path, **options))
-    assert isinstance(found, LazyFrames)
-    return found
+dataset = partial(opened, "ros")
 
 
 def points(seed: int, **more: Any) -> dict[str, Any]:
@@ -129,7 +127,6 @@ def test_a_run_on_a_bag_ends_where_a_run_on_its_frames_does(tmp_path: Path, synt
 def test_tf_is_the_start_unless_it_is_said_to_be_the_truth_or_nothing(tmp_path: Path) -> None:
     path = write_bag(tmp_path, drive())
     frame = dataset(path)[0]
-    assert frame.start is not None
     assert frame.camera_from_lidar is None
     assert np.allclose(frame.start, TRUTH, atol=1e-12)
     assert np.allclose(dataset(path, tf="truth")[0].camera_from_lidar, TRUTH, atol=1e-12)
@@ -142,7 +139,6 @@ def test_a_mounting_that_is_sent_in_tf_over_and_over_is_as_good_as_static(tmp_pa
     still = [tf([transform("lidar", "camera", se3.inverse(TRUTH))], START_NS + i, "/tf") for i in range(3)]
     said = [message for message in drive() if message.topic != "/tf_static"]
     frame = dataset(write_bag(tmp_path, [*still, *moving, *said]))[0]
-    assert frame.start is not None
     assert np.allclose(frame.start, TRUTH, atol=1e-12)
 
 
@@ -151,10 +147,9 @@ def test_frames_of_tf_may_be_named(tmp_path: Path) -> None:
     path = write_bag(tmp_path, [other, *(m for m in drive() if m.topic != "/tf_static")])
     with pytest.raises(UnknownNameError, match=r"data.image_frame: unknown frame.*did you mean optical"):
         dataset(path, image_frame="opticl")
-    (tmp_path / "b").mkdir()
     apart = tf([transform("map", "world", np.eye(4))], START_NS + 1)
     parted = write_bag(tmp_path / "b", [other, apart, *drive()])
-    with pytest.raises(InputError, match="no static transforms of TF connect lidar and world"):
+    with refused("no static transforms of TF connect lidar and world"):
         dataset(parted, image_frame="world")
     assert dataset(path, image_frame="optical", tf="truth").names
 
@@ -162,14 +157,13 @@ def test_frames_of_tf_may_be_named(tmp_path: Path) -> None:
 def test_a_bag_without_the_transform_has_no_start_and_says_so(tmp_path: Path) -> None:
     said = [m for m in drive() if m.topic != "/tf_static"]
     assert dataset(write_bag(tmp_path, said))[0].warnings == ()
-    (tmp_path / "b").mkdir()
     apart = tf([transform("map", "base", np.eye(4))], START_NS)
     path = write_bag(tmp_path / "b", [apart, *said])
     frame = dataset(path)[0]
     assert frame.start is None
     assert "no static transforms of TF connect lidar and camera: no initial guess" in frame.warnings[0]
     assert "frames of TF: base, map: choose with data.cloud_frame" in frame.warnings[0]
-    with pytest.raises(InputError, match="no static transforms of TF connect"):
+    with refused("no static transforms of TF connect"):
         dataset(path, tf="truth")
 
 
@@ -188,7 +182,6 @@ def test_times_of_points_count_from_the_image(tmp_path: Path, form: str) -> None
     later_s = np.linspace(0, 0.09, 200)
     said = drive(later_ns=20_000_000, t=(later_s * 1e9).round().astype(np.uint32))
     time_s = dataset(write_bag(tmp_path, said, form))[1].cloud.time_s
-    assert time_s is not None
     assert np.allclose(time_s, later_s + 0.02, atol=2e-9)
     path = tmp_path / ("drive.bag" if form == "ros1" else "drive")
     shifted = dataset(path, image_offset_s=0.01)
@@ -211,7 +204,6 @@ def test_livox_sweeps_have_times_and_no_rings(tmp_path: Path) -> None:
     found = dataset(write_bag(tmp_path, said))[1].cloud
     assert found.ring is None
     assert found.intensity is not None
-    assert found.time_s is not None
     assert np.allclose(found.xyz[:, 1], 0.1 * np.arange(30))
     assert np.allclose(found.time_s, 1e-6 * np.arange(30))
 
@@ -244,15 +236,13 @@ def test_images_without_a_sweep_of_their_time_are_left_out(tmp_path: Path) -> No
     found = dataset(write_bag(tmp_path, [*drive(), lonely]))
     assert len(found) == 3
     assert found.skipped == {"drive/1700000001.000000000": "no sweep within 0.05 s, the nearest is 0.8 s away"}
-    with pytest.raises(InputError, match=r"is left out.*no sweep within"):
+    with refused(r"is left out.*no sweep within"):
         found.frame("drive/1700000001.000000000")
 
 
 def test_clocks_that_never_meet_are_said_and_shifted(tmp_path: Path) -> None:
     path = write_bag(tmp_path, drive(later_ns=7_000_000_000))
-    with pytest.raises(
-        InputError, match=r"no image of /image_raw has a sweep of the same time.*got 6.8 s.*data.image_offset_s"
-    ):
+    with refused(r"no image of /image_raw has a sweep of the same time.*got 6.8 s.*data.image_offset_s"):
         dataset(path)
     assert len(dataset(path, image_offset_s=7.0)) == 3
 
@@ -265,7 +255,7 @@ def test_times_of_recording_are_taken_where_headers_have_none(tmp_path: Path) ->
         for m in drive()
     ]
     path = write_bag(tmp_path, said)
-    with pytest.raises(InputError, match=r"messages of /image_raw have no stamps.*--set data.stamps=bag"):
+    with refused(r"messages of /image_raw have no stamps.*--set data.stamps=bag"):
         dataset(path)
     found = dataset(path, stamps="bag")
     assert found.names[1] == "drive/1700000000.100000000"
@@ -275,7 +265,6 @@ def test_times_of_recording_are_taken_where_headers_have_none(tmp_path: Path) ->
 def test_messages_that_were_recorded_at_one_time_are_told_apart(tmp_path: Path) -> None:
     said = [replace(message, time_ns=START_NS) for message in drive()]
     for form in FORMS:
-        (tmp_path / form).mkdir()
         found = dataset(write_bag(tmp_path / form, said, form))
         assert [bool(np.array_equal(f.image.rgb, pixels(i))) for i, f in enumerate(found)] == [True] * 3
 
@@ -290,7 +279,7 @@ def test_frames_are_chosen_by_time_and_number(tmp_path: Path) -> None:
     assert tenths(every_s=0.3) == [0, 3, 6, 9]
     assert tenths(most=3) == [0, 4, 9]
     assert tenths(every_s=0.2, most=2) == [0, 8]
-    with pytest.raises(InputError, match=r"the bag has no poses of the vehicle.*data.every_s"):
+    with refused(r"the bag has no poses of the vehicle.*data.every_s"):
         dataset(path, every_m=1)
 
 
@@ -301,13 +290,11 @@ def test_frames_are_chosen_by_the_way_that_odometry_or_tf_tells(tmp_path: Path) 
     by_tf = [tf([transform("odom", "base", se3.make(translation=[0, x, 0]), time)], time, "/tf") for time, x in places]
     mounting = tf([transform("base", "lidar", se3.make(translation=[1, 0, 0]))], START_NS - 1)
     for number, way in enumerate((by_odometry, [mounting, *by_tf])):
-        (tmp_path / str(number)).mkdir()
         path = write_bag(tmp_path / str(number), [*way, *drive(10)])
         found = dataset(path, every_m=2.0)
         assert [int(name[-9:]) // 100_000_000 for name in found.names] == [0, 7, 9]
-    (tmp_path / "far").mkdir()
     beyond = write_bag(tmp_path / "far", [odometry("/odom", START_NS, (1e300, 0, 0)), *drive()])
-    with pytest.raises(InputError, match="the positions of the vehicle are implausible"):
+    with refused("the positions of the vehicle are implausible"):
         dataset(beyond, every_m=1)
     with pytest.raises(UnknownNameError, match="did you mean /odom"):
         dataset(tmp_path / "0" / "drive", every_m=1, odometry_topic="/odm")
@@ -335,7 +322,7 @@ def test_frames_travel_to_other_processes(tmp_path: Path) -> None:
 
 def test_a_camera_file_stands_in_for_a_camera_info(tmp_path: Path) -> None:
     path = write_bag(tmp_path, drive(info=False))
-    with pytest.raises(InputError, match=r"the bag has no CameraInfo.*--set data.camera=FILE"):
+    with refused(r"the bag has no CameraInfo.*--set data.camera=FILE"):
         dataset(path)
     camera = tmp_path / "camera.yaml"
     camera.write_text("{width: 16, height: 12, model: SIMPLE_PINHOLE, params: [20, 7, 5]}")
@@ -398,7 +385,7 @@ def test_bags_that_cannot_be_used_are_one_line_and_status_2(
 def test_a_picture_of_another_size_than_its_camera_is_bad(tmp_path: Path) -> None:
     said = [camera_info("/camera_info", START_NS, Camera.pinhole(20, 20, 7, 5, 16, 10)), *drive(info=False)]
     found = dataset(write_bag(tmp_path, said))
-    with pytest.raises(InputError, match=r"/image_raw: the image size does not fit the camera.*16x10.*16x12"):
+    with refused(r"/image_raw: the image size does not fit the camera.*16x10.*16x12"):
         found[0]
 
 
@@ -408,7 +395,7 @@ def test_a_pose_that_looks_the_wrong_way_round_is_told(tmp_path: Path) -> None:
     xyz = se3.apply(se3.inverse(TRUTH), in_view())
     columns = {axis: xyz[:, i].astype(np.float32) for i, axis in enumerate("xyz")}
     frame = dataset(write_bag(tmp_path, [*front, cloud("/points", START_NS, columns)]))
-    with pytest.raises(InputError, match=r"TF \(start\) looks like lidar_from_camera"):
+    with refused(r"TF \(start\) looks like lidar_from_camera"):
         frame[0]
 
 
@@ -427,7 +414,6 @@ def of_frame(name: str, *transforms: dict[str, Any]) -> list[Said]:
 def test_a_link_without_an_optical_frame_has_body_axes(tmp_path: Path) -> None:
     path = write_bag(tmp_path, of_frame("camera_link", transform("lidar", "camera_link", LIDAR_FROM_LINK)))
     frame = dataset(path)[0]
-    assert frame.start is not None
     assert np.allclose(frame.start, TRUTH)
     assert "camera_link are assumed to be x forward" in frame.warnings[0]
     assert "--set data.camera_axes=optical" in frame.warnings[0]
@@ -541,7 +527,7 @@ def test_several_cameras_of_a_bag_are_a_rig(tmp_path: Path) -> None:
     one = dataset(path, image_topic="/rig/right/image_raw", camera_name="RIGHT")
     assert one.names[0] == "drive/1700000000.010000000"
     assert one[0].camera_name == "RIGHT"
-    with pytest.raises(InputError, match=r"data\.camera_name applies to one camera"):
+    with refused(r"data\.camera_name applies to one camera"):
         dataset(path, image_topic="/rig/left/image_raw,/rig/right/image_raw", camera_name="RIGHT")
 
 

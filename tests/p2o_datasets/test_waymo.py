@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from p2o import InputError, UnknownNameError, se3
-from p2o.cli import main
-from p2o.frames.frame import LazyFrames
-from p2o_datasets.waymo import WaymoOptions, build
+from p2o import InputError, se3
 
-from .drive import car, through
+from .drive import car, check_projection, through
+from .opened import opened, refused
 from .waymo_files import (
     CAMERAS,
     COLUMNS,
@@ -36,10 +34,7 @@ from .waymo_files import (
 NUMBER = {"FRONT": 1, "SIDE_LEFT": 4, "TOP": 1, "REAR": 5}
 
 
-def dataset(root: Path, **options: Any) -> LazyFrames:
-    found = build(WaymoOptions(root=root, **options))
-    assert isinstance(found, LazyFrames)
-    return found
+dataset = partial(opened, "waymo")
 
 
 def middle_s(frame_us: int, camera: int) -> float:
@@ -68,9 +63,7 @@ def test_each_image_has_the_sweep_of_its_frame(tmp_path: Path) -> None:
     assert frame.camera.params[2:4] == (47.1, 30.7)
     assert np.abs(frame.image.rgb.astype(int) - ((START_US // 100_000 + 1) * 7 + 40) % 256).max() <= 2
     assert frame.warnings == ()
-    assert frame.cloud.intensity is not None
     assert set(frame.cloud.intensity.tolist()) == {0.25}
-    assert frame.cloud.ring is not None
     assert set(frame.cloud.ring.tolist()) == set(range(ROWS))
 
 
@@ -82,11 +75,7 @@ def test_points_are_seen_where_waymo_itself_projects_them(tmp_path: Path, camera
         world = world[np.isfinite(world[:, 0])]
         pose = car(middle_s(frame_us, NUMBER[camera]))
         expected = waymo_pixels(through(np.linalg.inv(pose @ CAMERAS[NUMBER[camera]]), world)) - 0.5
-        assert frame.camera_from_lidar is not None
-        seen = frame.camera.project(se3.apply(frame.camera_from_lidar, frame.cloud.xyz))
-        inside = frame.camera.in_image(expected)
-        assert inside.sum() > 100
-        assert np.abs(seen - expected)[inside].max() < 0.01
+        check_projection(frame, expected, 100, 0.01)
 
 
 def test_a_sweep_that_stays_lies_where_the_frame_has_its_pose(tmp_path: Path) -> None:
@@ -100,7 +89,6 @@ def test_a_sweep_that_stays_lies_where_the_frame_has_its_pose(tmp_path: Path) ->
 def test_beams_of_the_rear_lidar_are_evenly_apart(tmp_path: Path) -> None:
     cloud = dataset(Segment(tmp_path).write(), lidar="REAR", moved=False)[0].cloud
     x, y, z = cloud.xyz.T
-    assert cloud.ring is not None
     angles = -0.4 + 0.6 * (np.arange(ROWS) + 0.5) / ROWS
     assert np.abs(np.arctan2(z, np.hypot(x, y)) - angles[ROWS - 1 - cloud.ring]).max() < 1e-6
 
@@ -110,18 +98,7 @@ def test_velocity_and_pose_of_the_lidar_are_those_of_the_image(tmp_path: Path) -
     at_s = middle_s(START_US, 1)
     now, later = (car(time) @ LIDARS[1] for time in (at_s, at_s + 1e-3))
     assert np.abs(frame.lidar_world_from_lidar - now).max() < 1e-3
-    assert frame.twist is not None
     assert np.abs(frame.twist - se3.log(np.linalg.inv(now) @ later) / 1e-3).max() < 0.01
-
-
-def test_another_mounting_of_the_camera_changes_nothing_but_the_truth(tmp_path: Path) -> None:
-    honest = dataset(Segment(tmp_path / "a").write())[0]
-    lying = Segment(tmp_path / "b")
-    lying.components["camera_calibration"][0]["[CameraCalibrationComponent].extrinsic.transform"][3] += 1.0
-    frame = dataset(lying.write())[0]
-    assert not np.allclose(frame.camera_from_lidar, honest.camera_from_lidar)
-    assert np.array_equal(frame.cloud.xyz, honest.cloud.xyz)
-    assert np.array_equal(frame.lidar_world_from_lidar, honest.lidar_world_from_lidar)
 
 
 def test_frames_without_a_sweep_are_left_out_and_named(tmp_path: Path) -> None:
@@ -133,13 +110,9 @@ def test_frames_without_a_sweep_are_left_out_and_named(tmp_path: Path) -> None:
         found.frame(f"{SEGMENT}/FRONT/{START_US}")
 
 
-def test_names_that_are_not_there_are_told_the_nearest(tmp_path: Path) -> None:
+def test_all_cameras_are_chosen_and_one_without_images_has_no_frames(tmp_path: Path) -> None:
     root = Segment(tmp_path).write()
-    with pytest.raises(UnknownNameError, match="did you mean FRONT_LEFT"):
-        dataset(root, cameras="FRONT_LFT")
-    with pytest.raises(UnknownNameError, match=f"did you mean {SEGMENT}"):
-        dataset(root, segments=SEGMENT[:-1])
-    with pytest.raises(InputError, match="no Waymo frames"):
+    with refused("no Waymo frames"):
         dataset(root, cameras="FRONT_LEFT")
     assert len(dataset(root, cameras="all", segments=SEGMENT)) == 6
 
@@ -154,42 +127,31 @@ def test_the_folder_above_gets_a_hint(tmp_path: Path) -> None:
     ("component", "column", "value", "words"),
     [
         ("camera_calibration", "key.camera_name", 2, "a sensor has no calibration; expected FRONT"),
-        ("camera_calibration", "[CameraCalibrationComponent].intrinsic.f_u", None, "f_u is not a number"),
-        ("camera_calibration", "[CameraCalibrationComponent].width", 0, "camera.width is out of bounds"),
-        (
-            "camera_calibration",
-            "[CameraCalibrationComponent].extrinsic.transform",
-            [2.0] * 16,
-            "extrinsic of the camera",
-        ),
-        (
-            "lidar_calibration",
-            "[LiDARCalibrationComponent].extrinsic.transform",
-            None,
-            "the extrinsic of the LiDAR is not",
-        ),
-        ("lidar_calibration", "[LiDARCalibrationComponent].beam_inclination.values", [0.1], "inclinations do not fit"),
-        ("camera_image", "[CameraImageComponent].image", None, "the image is missing"),
-        ("camera_image", "[CameraImageComponent].image", b"\xff\xd8\xff", "the image cannot be decoded"),
-        ("camera_image", "[CameraImageComponent].pose.transform", None, "the pose of the image is not a pose"),
-        ("camera_image", "[CameraImageComponent].pose_timestamp", float("nan"), "pose_timestamp is not a number"),
+        ("camera_calibration", "intrinsic.f_u", None, "f_u is not a number"),
+        ("camera_calibration", "width", 0, "camera.width is out of bounds"),
+        ("camera_calibration", "extrinsic.transform", [2.0] * 16, "extrinsic of the camera"),
+        ("lidar_calibration", "extrinsic.transform", None, "the extrinsic of the LiDAR is not"),
+        ("lidar_calibration", "beam_inclination.values", [0.1], "inclinations do not fit"),
+        ("camera_image", "image", None, "the image is missing"),
+        ("camera_image", "image", b"\xff\xd8\xff", "the image cannot be decoded"),
+        ("camera_image", "pose.transform", None, "the pose of the image is not a pose"),
+        ("camera_image", "pose_timestamp", float("nan"), "pose_timestamp is not a number"),
         ("vehicle_pose", "key.frame_timestamp_micros", 5, "there is no pose of the vehicle"),
         ("lidar_pose", "key.frame_timestamp_micros", 5, "there are no poses of the pixels"),
-        ("lidar_pose", "[LiDARPoseComponent].range_image_return1.shape", [ROWS, COLUMNS, 5], "not a range image"),
-        ("lidar", "[LiDARComponent].range_image_return1.values", None, "not a range image"),
-        ("lidar", "[LiDARComponent].range_image_return1.shape", [-1, -1, 4], "not a range image"),
-        ("lidar", "[LiDARComponent].range_image_return1.values", [0.0] * (4 * ROWS * COLUMNS), "has no returns"),
+        ("lidar_pose", "range_image_return1.shape", [ROWS, COLUMNS, 5], "not a range image"),
+        ("lidar", "range_image_return1.values", None, "not a range image"),
+        ("lidar", "range_image_return1.shape", [-1, -1, 4], "not a range image"),
+        ("lidar", "range_image_return1.values", [0.0] * (4 * ROWS * COLUMNS), "has no returns"),
     ],
 )
 def test_wrong_rows_are_one_line_that_names_the_component(
     tmp_path: Path, component: str, column: str, value: Any, words: str
 ) -> None:
     segment = Segment(tmp_path)
-    segment.components[component][0][column] = value
-    with pytest.raises(InputError, match=words) as caught:
+    row = segment.components[component][0]
+    row[next(name for name in row if name.endswith(column))] = value
+    with refused(words, component):
         dataset(segment.write())[0]
-    assert "\n" not in str(caught.value)
-    assert component in str(caught.value)
 
 
 def test_a_component_that_is_missing_or_cut_off_or_another_table_is_one_line(tmp_path: Path) -> None:
@@ -223,28 +185,8 @@ def test_times_that_cannot_be_leave_the_image_at_its_pose(tmp_path: Path) -> Non
     assert np.abs(frame.lidar_world_from_lidar - car(seconds(START_US) + 0.05) @ LIDARS[1]).max() < 1e-6
 
 
-def test_without_pyarrow_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    root = Segment(tmp_path).write()
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(InputError, match=r'needs pyarrow, which is not installed.*pip install "p2o-calib\[arrow\]"'):
-        dataset(root)
-
-
-def test_every_frame_is_good_for_data_check(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    root = Segment(tmp_path).write()
-    assert main(["data", "check", f"waymo:{root}", "--set", "data.cameras=FRONT,SIDE_LEFT"]) == 0
-    assert capsys.readouterr().out.splitlines()[-1] == "6 of 6 frames are good"
-    assert main(["data", "check", f"waymo:{root / 'gone'}"]) == 2
-    assert "no such folder; expected the folder of Waymo" in capsys.readouterr().err
-
-
-def test_the_dataset_keeps_the_contract_of_its_slot(tmp_path: Path) -> None:
-    assert main(["plugin", "check", "waymo", "--set", f"data.root={Segment(tmp_path).write()}"]) == 0
-
-
 def test_the_highest_row_is_the_highest_beam(tmp_path: Path) -> None:
     cloud = dataset(Segment(tmp_path).write(), moved=False)[0].cloud
     x, y, z = cloud.xyz.T
-    assert cloud.ring is not None
     # The car's motion during the turn leaves rings a little off their beams.
     assert np.abs(np.arctan2(z, np.hypot(x, y)) - INCLINATIONS[ROWS - 1 - cloud.ring]).max() < 0.02

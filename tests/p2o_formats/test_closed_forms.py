@@ -68,10 +68,7 @@ def test_the_launch_file_is_python_with_the_arguments_of_the_command() -> None:
 
 def test_the_joint_of_urdf_has_the_angles_of_an_optical_frame() -> None:
     joint = ElementTree.fromstring(written("ros2", Calibration(None, AHEAD), form="urdf")).find("joint")
-    assert joint is not None
     origin, parent = joint.find("origin"), joint.find("parent")
-    assert origin is not None
-    assert parent is not None
     assert parent.get("link") == "lidar"
     np.testing.assert_allclose(np.array(origin.get("xyz", "").split(), float), [0.3, 0, 0], atol=1e-15)
     np.testing.assert_allclose(np.array(origin.get("rpy", "").split(), float), [-math.pi / 2, 0, -math.pi / 2])

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 from p2o import Camera, InputError, Result, Status, se3
-from p2o.calibration_files.calibration import Calibration, Source
-from p2o.host.calibration_file import read_calibration, read_calibration_file, read_camera_file, recognised
+from p2o.calibration_files.calibration import Calibration
+from p2o.host.calibration_file import read_calibration, read_calibration_file, read_camera_file
 from p2o.results.result_json import result_to_json
 from p2o_formats.formats import FORMATS
 
-from tests.p2o_formats.calibrations import KITTI_LIKE, PINHOLE, REGISTRY, read_text, written
+from tests.p2o_datasets.opened import refused
+from tests.p2o_formats.calibrations import KITTI_LIKE, PINHOLE, read_back, read_text, written
 
 CAMCHAIN = """
 cam0:
@@ -159,44 +161,133 @@ Tr_imu_velo 0.9999976 0.0007553071 -0.002035826 -0.8086759 -0.0007854027 0.99988
 """.replace("\\\n", "")
 LIVO_POSE = se3.make([[0, -1, 0], [0, 0, -1], [1, 0, 0]], [0.06, -0.08, -0.27])
 AHEAD = se3.make([[0, -1, 0], [0, 0, -1], [1, 0, 0]], [0, 0, -0.3])
+PUBLISHER = "ros2 run tf2_ros static_transform_publisher"
+AUTOWARE_AI = f"""%YAML:1.0
+---
+CameraExtrinsicMat: !!opencv-matrix
+   rows: 4
+   cols: 4
+   dt: d
+   data: {se3.inverse(KITTI_LIKE).ravel().tolist()}
+CameraMat: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 700., 0., 320., 0., 700., 240., 0., 0., 1. ]
+DistCoeff: !!opencv-matrix
+   rows: 1
+   cols: 5
+   dt: d
+   data: [ -0.1, 0.01, 0., 0., 0. ]
+ImageSize: [ 640, 480 ]
+DistModel: plumb_bob
+"""
+KITTI_RAW = """S_02: 1392 512
+K_02: 900 0 700 0 900 250 0 0 1
+D_02: -0.3 0.1 0.001 0.001 -0.05
+S_rect_02: 1242 375
+P_rect_02: 700 0 600 40 0 700 180 0 0 0 1 0
+"""
+LIVO_SEVERAL = LIVO_RESULT.replace("\n\n", "\nRMSE: 0.0041 m\nScenes_used: 3\n")
+LIVO_TWO = LIVO_CONFIG.replace("extrin_calib", "left") + LIVO_CONFIG.replace("extrin_calib", "right").replace(
+    "0.06", "0.5"
+)
+LIVO_FISHEYE_LENS = (351.3, 351.4, 367.8, 253.8, -0.037, -0.009, 0.009, -0.004)
+LIVO_FISHEYE_WITHOUT_SIZE = LIVO_FISHEYE.replace("cam_width: 720\ncam_height: 540\n", "")
+CALIB_ANYTHING_RESULT = f"Estimate extrinsic Matrix: \n{LIVO_POSE.tolist()}".replace("], [", "],\n[")
+KITTI_DISTORTION = (-0.3, 0.1, 0.001, 0.001, -0.05, 0, 0, 0)
 
 
-def test_a_camera_of_a_chain_is_chosen_by_its_name() -> None:
-    assert recognised(Source(Path("camchain.yaml"), CAMCHAIN.encode()), REGISTRY).name == "kalibr"
-    with pytest.raises(InputError, match=r"contains several cameras.*FILE#NAME with one of cam0, cam1"):
-        read_text(CAMCHAIN)
+@pytest.mark.parametrize(
+    ("text", "reading", "pose"),
+    [
+        (TREE, {}, AHEAD),
+        (f"{PUBLISHER} 0.3 0 0 -1.5707963267948966 0 -1.5707963267948966 velo cam", {}, AHEAD),
+        ("rosrun tf static_transform_publisher 0.3 0 0 -0.5 0.5 -0.5 0.5 /velodyne /camera_optical 100", {}, AHEAD),
+        (
+            f"{PUBLISHER} --frame-id cam0 --child-frame-id lidar \\\n  --roll 0 --pitch 0 --yaw 0 --z -0.3",
+            {},
+            se3.make(translation=[0, 0, -0.3]),
+        ),
+        (
+            '["--x=0.3", "--frame-id", "os_sensor", "--child-frame-id", "camera_link"] static_transform_publisher',
+            {},
+            AHEAD,
+        ),
+        (AUTOWARE_AI, {}, KITTI_LIKE),
+        (json.dumps({"T_lidar_cam": se3.inverse(KITTI_LIKE).tolist()}), {}, KITTI_LIKE),
+        (LIVO_RESULT, {}, LIVO_POSE),
+        (LIVO_SEVERAL, {}, LIVO_POSE),
+        (LIVO_TWO, {"name": "right"}, se3.make(LIVO_POSE[:3, :3], [0.5, -0.08, -0.27])),
+        (CALIB_ANYTHING, {}, LIVO_POSE),
+        (CALIB_ANYTHING_RESULT, {}, LIVO_POSE),
+    ],
+)
+def test_transforms_as_other_tools_write_them(text: str, reading: dict[str, str], pose: np.ndarray) -> None:
+    np.testing.assert_allclose(read_text(text, **reading).extrinsic(), pose, atol=1e-9)
 
 
-def test_the_models_of_kalibr(tmp_path: Path) -> None:
-    path = tmp_path / "camchain.yaml"
-    path.write_text(CAMCHAIN)
-    assert read_camera_file(f"{path}#cam0") == Camera(
-        "OPENCV", 752, 480, (458.6, 457.3, 367.2, 248.4, -0.28, 0.07, 0.0002, 0.00002)
-    )
-    assert read_camera_file(f"{path}#cam1").model == "OPENCV_FISHEYE"
-    with pytest.raises(InputError, match="there is no camera 'cam7'"):
-        read_camera_file(f"{path}#cam7")
-    path.write_text(CAMCHAIN.replace("camera_model: pinhole", "camera_model: omni"))
-    with pytest.raises(InputError, match="omni with radtan is not supported"):
-        read_camera_file(f"{path}#cam0")
+@pytest.mark.parametrize(
+    ("text", "reading", "camera"),
+    [
+        (
+            CAMCHAIN,
+            {"name": "cam0"},
+            Camera("OPENCV", 752, 480, (458.6, 457.3, 367.2, 248.4, -0.28, 0.07, 0.0002, 0.00002)),
+        ),
+        (
+            CAMCHAIN.replace("equidistant", "KannalaBrandt4"),
+            {"name": "cam1"},
+            Camera("OPENCV_FISHEYE", 752, 480, (457.6, 456.1, 379.9, 255.2, 0.01, 0.02, 0.03, 0.04)),
+        ),
+        # The camera of the raw image, not of the rectified one.
+        (CAMERA_INFO, {}, Camera("OPENCV", 1280, 720, (700, 705, 640, 360, -0.28, 0.08, 0.001, -0.002))),
+        (
+            CAMERA_INFO.replace("plumb_bob", "Brown-Conrady"),
+            {},
+            Camera("OPENCV", 1280, 720, (700, 705, 640, 360, -0.28, 0.08, 0.001, -0.002)),
+        ),
+        (ECHO, {}, Camera("OPENCV_FISHEYE", 1280, 720, (700, 705, 640, 360, 0.1, 0.01, 0, 0))),
+        (KITTI_RAW, {}, Camera.pinhole(700, 700, 600, 180, 1242, 375)),
+        (KITTI_RAW, {"name": "02-raw"}, Camera("FULL_OPENCV", 1392, 512, (900, 900, 700, 250, *KITTI_DISTORTION))),
+        (AUTOWARE_AI, {}, Camera("OPENCV", 640, 480, (700, 700, 320, 240, -0.1, 0.01, 0, 0))),
+        (
+            LIVO_RESULT,
+            {},
+            Camera(
+                "OPENCV",
+                1280,
+                1024,
+                (1293.56944, 1293.3155, 626.91359, 522.799224, -0.076160, 0.123001, -0.00113, 0.000251),
+            ),
+        ),
+        (LIVO_FISHEYE, {}, Camera("OPENCV_FISHEYE", 720, 540, LIVO_FISHEYE_LENS)),
+        (
+            LIVO_FISHEYE_WITHOUT_SIZE,
+            {"width": 720, "height": 540},
+            Camera("OPENCV_FISHEYE", 720, 540, LIVO_FISHEYE_LENS),
+        ),
+        (
+            CALIB_ANYTHING,
+            {"width": 1920, "height": 1080},
+            Camera("OPENCV", 1920, 1080, (1200, 1201, 960.5, 540.25, -0.1, 0.02, 0.001, -0.002)),
+        ),
+    ],
+)
+def test_cameras_as_other_tools_write_them(text: str, reading: dict[str, Any], camera: Camera) -> None:
+    assert read_text(text, **reading).camera == camera
 
 
-def test_camera_info_of_a_file_is_that_of_the_raw_picture() -> None:
-    found = read_text(CAMERA_INFO)
-    assert found.camera == Camera("OPENCV", 1280, 720, (700, 705, 640, 360, -0.28, 0.08, 0.001, -0.002))
-    assert found.camera_frame == "front"
+@pytest.mark.parametrize("text", [CALIB_ANYTHING, LIVO_FISHEYE_WITHOUT_SIZE + LIVO_CONFIG])
+def test_a_camera_without_its_size_is_left_out(text: str) -> None:
+    assert read_text(text).lacks_image_size
 
 
-def test_a_message_of_ros2_topic_echo_is_a_camera() -> None:
-    found = read_text(ECHO)
-    assert found.camera == Camera("OPENCV_FISHEYE", 1280, 720, (700, 705, 640, 360, 0.1, 0.01, 0, 0))
-    assert found.camera_frame == "camera_front_optical"
-
-
-@pytest.mark.parametrize("change", [("binning_x: 0", "binning_x: 2"), ("width: 0,", "width: 100,")])
-def test_the_camera_of_a_binned_or_cropped_picture_is_refused(change: tuple[str, str]) -> None:
-    with pytest.raises(InputError, match="binned or cropped"):
-        read_text(ECHO.replace(*change))
+def test_files_name_their_frames_and_state_a_small_skew() -> None:
+    assert read_text(CAMERA_INFO).camera_frame == "front"
+    assert read_text(ECHO).camera_frame == "camera_front_optical"
+    (remark,) = read_text(ECHO.replace("[700.0, 0.0,", "[700.0, 1.0,", 1)).remarks
+    assert "the skew 1 of K is neglected; its largest effect in the image is 0.51 px" in remark
 
 
 def test_sensors_of_a_kit_are_told_by_their_names() -> None:
@@ -215,36 +306,6 @@ def _rotation(roll: float, pitch: float, yaw: float) -> np.ndarray:
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix())
-
-
-def test_the_joint_between_lidar_and_camera_is_found_in_a_tree() -> None:
-    found = read_text(TREE)
-    np.testing.assert_allclose(found.extrinsic(), AHEAD, atol=1e-12)
-    assert (found.lidar_frame, found.camera_frame) == ("velodyne", "camera_link")
-    assert "x forward" in found.remarks[0]
-
-
-@pytest.mark.parametrize(
-    ("text", "pose"),
-    [
-        (
-            "ros2 run tf2_ros static_transform_publisher 0.3 0 0 -1.5707963267948966 0 -1.5707963267948966 velo cam",
-            AHEAD,
-        ),
-        ("rosrun tf static_transform_publisher 0.3 0 0 -0.5 0.5 -0.5 0.5 /velodyne /camera_optical 100", AHEAD),
-        (
-            "ros2 run tf2_ros static_transform_publisher --frame-id cam0 --child-frame-id lidar \\\n"
-            "  --roll 0 --pitch 0 --yaw 0 --z -0.3",
-            se3.make(translation=[0, 0, -0.3]),
-        ),
-        (
-            '["--x=0.3", "--frame-id", "os_sensor", "--child-frame-id", "camera_link"] static_transform_publisher',
-            AHEAD,
-        ),
-    ],
-)
-def test_static_transforms_as_people_write_them(text: str, pose: np.ndarray) -> None:
-    np.testing.assert_allclose(read_text(text).extrinsic(), pose, atol=1e-9)
 
 
 def test_names_that_say_nothing_are_asked_for() -> None:
@@ -270,44 +331,6 @@ def test_files_of_kitti_multiply_all_in() -> None:
     offset = np.linalg.solve([[700, 0, 600], [0, 700, 180], [0, 0, 1]], [70, 7, 0.01])
     np.testing.assert_allclose(found.extrinsic()[:3, 3], np.asarray(VELO_TO_CAM)[:3, 3] + offset, atol=1e-6)
     assert read_text(text, width=1242, height=375).camera == Camera.pinhole(700, 700, 600, 180, 1242, 375)
-
-
-def test_the_distorted_camera_of_kitti_raw() -> None:
-    text = (
-        "S_02: 1392 512\nK_02: 900 0 700 0 900 250 0 0 1\nD_02: -0.3 0.1 0.001 0.001 -0.05\n"
-        "S_rect_02: 1242 375\nP_rect_02: 700 0 600 40 0 700 180 0 0 0 1 0\n"
-    )
-    assert read_text(text).camera == Camera.pinhole(700, 700, 600, 180, 1242, 375)
-    assert read_text(text, name="02-raw").camera == Camera(
-        "FULL_OPENCV", 1392, 512, (900, 900, 700, 250, -0.3, 0.1, 0.001, 0.001, -0.05, 0, 0, 0)
-    )
-
-
-def test_the_files_of_autoware_ai_hold_the_inverse() -> None:
-    lidar_from_camera = se3.inverse(KITTI_LIKE)
-    data = ", ".join(map(str, lidar_from_camera.ravel()))
-    text = (
-        "%YAML:1.0\n---\nCameraExtrinsicMat: !!opencv-matrix\n   rows: 4\n   cols: 4\n   dt: d\n"
-        f"   data: [ {data} ]\nCameraMat: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n"
-        "   data: [ 700., 0., 320., 0., 700., 240., 0., 0., 1. ]\nDistCoeff: !!opencv-matrix\n   rows: 1\n   cols: 5\n"
-        "   dt: d\n   data: [ -0.1, 0.01, 0., 0., 0. ]\nImageSize: [ 640, 480 ]\nDistModel: plumb_bob\n"
-    )
-    found = read_text(text)
-    np.testing.assert_allclose(found.extrinsic(), KITTI_LIKE, atol=1e-12)
-    assert found.camera == Camera("OPENCV", 640, 480, (700, 700, 320, 240, -0.1, 0.01, 0, 0))
-
-
-def test_keys_of_others_say_the_direction() -> None:
-    rows = se3.inverse(KITTI_LIKE).tolist()
-    np.testing.assert_allclose(read_text(json.dumps({"T_lidar_cam": rows})).extrinsic(), KITTI_LIKE, atol=1e-12)
-    with pytest.raises(InputError, match="T_cam_lidar and T_lidar_cam are not the same transform"):
-        read_text(json.dumps({"T_cam_lidar": rows, "T_lidar_cam": rows}))
-
-
-def test_a_text_that_was_edited_in_one_place_contradicts_itself() -> None:
-    text = written("text", Calibration(None, KITTI_LIKE))
-    with pytest.raises(InputError, match="are not the same transform"):
-        read_text(text.replace("rpy_deg: [0.0, -90.0, 90.0]", "rpy_deg: [1.0, -90.0, 90.0]"))
 
 
 def test_a_result_of_p2o_says_pose_and_camera(tmp_path: Path) -> None:
@@ -344,47 +367,28 @@ def test_a_file_without_a_camera_is_not_blamed_on_the_size(tmp_path: Path) -> No
 
 # ---- damaged and hostile
 
-
-def _swap(name: str, matrix: np.ndarray) -> str:
-    """Return a file of a form whose rotation is not one."""
-    rows = matrix.tolist()
-    if name == "kalibr":
-        lines = [f"  - {row}" for row in rows]
-        head = written("kalibr", Calibration(PINHOLE, KITTI_LIKE)).partition("  T_cam_lidar:")[0]
-        return "\n".join([head + "  T_cam_lidar:", *lines])
-    if name == "opencalib":
-        tree = json.loads(written("opencalib", Calibration(None, KITTI_LIKE)))
-        next(iter(tree.values()))["param"]["sensor_calib"]["data"] = rows
-        return json.dumps(tree)
-    if name == "opencv":
-        data = ", ".join(map(str, matrix.ravel()))
-        return (
-            f"%YAML:1.0\n---\ncamera_from_lidar: !!opencv-matrix\n   rows: 4\n   cols: 4\n   dt: d\n   data: [ {data} ]"
-        )
-    if name == "kitti":
-        return "Tr: " + " ".join(map(str, matrix[:3].ravel()))
-    if name == "matrix":
-        return "\n".join(" ".join(map(str, row)) for row in rows)
-    return "camera_from_lidar: " + json.dumps(rows)
-
-
+TEXT = written("text", Calibration(None, KITTI_LIKE))
+STATED = written("matrix", Calibration(None, KITTI_LIKE), direction="lidar_from_camera")
 BAD = {
     "mirrors space": KITTI_LIKE @ np.diag([1.0, 1, -1, 1]),
     "not orthonormal": KITTI_LIKE @ np.diag([1.1, 1, 1, 1]),
     "too long": se3.make(KITTI_LIKE[:3, :3], [1e12, 0, 0]),
     "last row": KITTI_LIKE + np.array([[0, 0, 0, 0]] * 3 + [[1, 0, 0, 0]]),
+    "last row .* is wrong; expected 0 0 0 1; .*transpose the matrix.*rigid3d": KITTI_LIKE.T,
 }
 
 
-@pytest.mark.parametrize("name", ["kalibr", "opencalib", "opencv", "kitti", "matrix", "text"])
+@pytest.mark.parametrize("name", ["fast-livo", "kalibr", "kitti", "matrix", "npy", "opencalib", "opencv", "text"])
 @pytest.mark.parametrize("fault", BAD)
 def test_what_is_no_rigid_transform_is_refused(name: str, fault: str) -> None:
-    if name == "kitti" and fault == "last row":
-        return  # KITTI writes three rows.
-    with pytest.raises(InputError, match=fault) as caught:
-        read_text(_swap(name, BAD[fault]))
-    assert "\n" not in str(caught.value)
-    assert "calibration.txt" in str(caught.value)
+    if name in ("fast-livo", "kitti") and "last row" in fault:
+        return  # These formats have three rows.
+    calibration = Calibration(PINHOLE, KITTI_LIKE)
+    object.__setattr__(calibration, "camera_from_lidar", BAD[fault])
+    form = FORMATS[name]
+    data = f"camera_from_lidar: {BAD[fault].tolist()}".encode() if name == "text" else form.written(calibration)
+    with refused(fault, "calibration."):
+        read_back(form, data)
 
 
 @pytest.mark.parametrize(
@@ -403,8 +407,13 @@ def test_what_is_no_rigid_transform_is_refused(name: str, fault: str) -> None:
         (CAMERA_INFO.replace("700.,", ".nan,"), "not an intrinsic matrix"),
         (CAMERA_INFO.replace("-0.28, 0.08, ", ""), "does not fit plumb_bob"),
         (CAMERA_INFO.replace("data: [700., 0.", "data: [700., 3."), "K has a skew of 3, .* up to 1.5 px"),
+        (CAMERA_INFO.replace("plumb_bob", "inverse_brown_conrady"), "maps image pixels to rays"),
         (CAMERA_INFO.replace("image_width: 1280", "image_width: 1e9"), "image size|too many pixels"),
         (CAMERA_INFO.replace("plumb_bob", "thin_plate"), "distortion 'thin_plate' is unknown"),
+        (CAMCHAIN, r"contains several cameras.*FILE#NAME with one of cam0, cam1"),
+        (CAMCHAIN.partition("cam1")[0].replace("camera_model: pinhole", "camera_model: omni"), "omni with radtan"),
+        (ECHO.replace("binning_x: 0", "binning_x: 2"), "binned or cropped"),
+        (ECHO.replace("width: 0,", "width: 100,"), "binned or cropped"),
         (KIT.replace("yaw: 1.575", "yaw: .inf").replace("camera1/camera_link", "radar_link"), "rpy_rad"),
         ('{"results": {"T_lidar_camera": [0, 0, 0, 0, 0, 0, 0]}}', "quaternion"),
         ('{"results": {"T_lidar_camera": [0, 0, 0, 1]}}', "x y z qx qy qz qw"),
@@ -416,14 +425,36 @@ def test_what_is_no_rigid_transform_is_refused(name: str, fault: str) -> None:
         ("{" * 2000, "no calibration reader recognises this file"),
         ("a: &x [1]\nb: *x", "alias"),
         ("camera_from_lidar: !!python/object:os.system []", "objects"),
-        ('[{"cameras": [{"image_prefix": "a/", "ref_sensor": true}, {"image_prefix": "b/"}]}]', "which sensors"),
+        ('[{"cameras": [{"image_prefix": "a/", "ref_sensor": true}, {"image_prefix": "b/"}]}]',
+         "no frame names denote the LiDAR"),
+        (json.dumps(dict.fromkeys(("T_cam_lidar", "T_lidar_cam"), KITTI_LIKE.tolist())), "are not the same transform"),
+        (TEXT.replace("rpy_deg: [0.0, -90.0", "rpy_deg: [1.0, -90.0"), "are not the same transform"),
+        (LIVO_RESULT.replace("Pinhole", "ATANCamera"), "cam_model is not supported; expected Pinhole or Equidistant"),
+        (LIVO_RESULT.replace("1293.3155", ".nan"), "cam_fy .* are not numbers"),
+        (LIVO_CONFIG.replace("-0.27", ".inf"), "translation_m is not valid"),
+        (LIVO_CONFIG.replace("1.0, 0.0, 0.0]", "1.0, 0.5, 0.0]"), "not orthonormal"),
+        (LIVO_TWO, "several cameras; expected FILE#SECTION with one of left, right"),
+        (CALIB_ANYTHING.replace("[1, 0, 0, -0.27]", "[1, 0, -0.27]"), "T_lidar_to_cam is not a pose"),
+        ("Estimate extrinsic Matrix: \n[[1, 2], [3, 4]]", "the extrinsic is not a pose"),
+        (TRACKING.replace("R_rect 0.9999239", "R_rect x"), "this is not a KITTI calibration file"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_said_in_one_line(text: str, message: str) -> None:
-    with pytest.raises(InputError, match=message) as caught:
+    with refused(message):
         read_text(text)
-    assert "\n" not in str(caught.value)
-    assert len(str(caught.value)) < 1500
+
+
+@pytest.mark.parametrize(
+    ("text", "reading", "message"),
+    [
+        (CAMCHAIN, {"name": "cam7"}, "there is no camera 'cam7'"),
+        (CALIB_ANYTHING, {"name": "gt"}, "T_lidar_to_cam_gt is not available"),
+        (STATED, {"direction": "camera_from_lidar"}, "the file states another direction"),
+    ],
+)
+def test_a_reading_that_contradicts_the_file_is_refused(text: str, reading: dict[str, str], message: str) -> None:
+    with refused(message):
+        read_text(text, **reading)
 
 
 def test_a_file_that_is_too_large_is_not_read(tmp_path: Path) -> None:
@@ -441,12 +472,6 @@ def test_launch_files_are_never_run(tmp_path: Path) -> None:
     assert not trap.exists()
 
 
-def test_a_matrix_that_says_another_direction_is_refused() -> None:
-    text = written("matrix", Calibration(None, KITTI_LIKE), direction="lidar_from_camera")
-    with pytest.raises(InputError, match="the file states another direction"):
-        read_text(text, direction="camera_from_lidar")
-
-
 def test_names_of_frames_cannot_hold_commands() -> None:
     for name in ("a; rm -rf /", "a b", '"', "$(x)", "a\nb", "", "-x"):
         with pytest.raises(ValueError, match="camera_frame"):
@@ -461,45 +486,6 @@ def test_rcl_and_pcl_of_fast_livo_are_camera_from_lidar_in_every_section(section
     found = read_text(yaml.safe_dump(tree))
     np.testing.assert_allclose(found.extrinsic(), LIVO_POSE, atol=1e-12)
     assert found.camera is None
-
-
-def test_a_result_of_fast_calib_has_the_camera_of_the_whole_image() -> None:
-    found = read_text(LIVO_RESULT)
-    params = (1293.56944, 1293.3155, 626.91359, 522.799224, -0.076160, 0.123001, -0.00113, 0.000251)
-    assert found.camera == Camera("OPENCV", 1280, 1024, params)
-    np.testing.assert_allclose(found.extrinsic(), LIVO_POSE, atol=1e-12)
-    several = (
-        "# FAST-LIVO2 calibration format\n" + LIVO_RESULT.partition("\n\n")[2] + "RMSE: 0.0041 m\nScenes_used: 3\n"
-    )
-    np.testing.assert_allclose(read_text(several).extrinsic(), LIVO_POSE, atol=1e-12)
-
-
-def test_a_fisheye_of_fast_livo() -> None:
-    params = (351.3, 351.4, 367.8, 253.8, -0.037, -0.009, 0.009, -0.004)
-    assert read_text(LIVO_FISHEYE).camera == Camera("OPENCV_FISHEYE", 720, 540, params)
-    without_size = LIVO_FISHEYE.replace("cam_width: 720\ncam_height: 540\n", "")
-    assert read_text(without_size, width=720, height=540).camera == Camera("OPENCV_FISHEYE", 720, 540, params)
-    assert read_text(without_size + LIVO_CONFIG).lacks_image_size
-
-
-def test_one_of_several_sections_of_fast_livo_is_chosen() -> None:
-    two = LIVO_CONFIG.replace("extrin_calib", "left") + LIVO_CONFIG.replace("extrin_calib", "right").replace(
-        "0.06", "0.5"
-    )
-    assert read_text(two, name="right").extrinsic()[0, 3] == 0.5
-    with pytest.raises(InputError, match=r"several cameras; expected FILE#SECTION with one of left, right"):
-        read_text(two)
-
-
-def test_calib_anything_has_camera_from_lidar_and_a_camera_without_its_size() -> None:
-    found = read_text(CALIB_ANYTHING, width=1920, height=1080)
-    assert found.camera == Camera("OPENCV", 1920, 1080, (1200, 1201, 960.5, 540.25, -0.1, 0.02, 0.001, -0.002))
-    np.testing.assert_allclose(found.extrinsic(), LIVO_POSE, atol=1e-12)
-    assert read_text(CALIB_ANYTHING).lacks_image_size
-    with pytest.raises(InputError, match="T_lidar_to_cam_gt is not available"):
-        read_text(CALIB_ANYTHING, name="gt")
-    result = "Estimate extrinsic Matrix: \n" + ",\n".join(f"[{','.join(map(str, row))}]" for row in LIVO_POSE)
-    np.testing.assert_allclose(read_text(f"{result}]".replace(": \n[", ": \n[[")).extrinsic(), LIVO_POSE, atol=1e-12)
 
 
 def test_the_keys_of_kitti_tracking_have_no_colon() -> None:
@@ -519,47 +505,3 @@ def test_the_skew_of_a_projection_of_kitti_is_stated(skew: str, said: str) -> No
     assert f"the skew {float(skew):g} of P2 is neglected; its largest effect in the image is {said}" in remark
     with pytest.raises(InputError, match=r"skew of 8, which shifts pixels by up to 2\.2 px"):
         read_text(text.replace(skew, "8.0"), name="P2", width=1242, height=375)
-
-
-@pytest.mark.parametrize("rows", [LIVO_POSE.T, KITTI_LIKE.T])
-def test_a_transposed_transform_of_matlab_is_named(rows: np.ndarray) -> None:
-    text = "\n".join(" ".join(map(str, row)) for row in rows)
-    with pytest.raises(InputError, match=r"last row .* is wrong; expected 0 0 0 1; .*transpose the matrix.*rigid3d"):
-        read_text(text)
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (LIVO_RESULT.replace("Pinhole", "ATANCamera"), "cam_model is not supported; expected Pinhole or Equidistant"),
-        (LIVO_RESULT.replace("1293.3155", ".nan"), "cam_fy .* are not numbers"),
-        (LIVO_CONFIG.replace("-0.27", ".inf"), "translation_m is not valid"),
-        (LIVO_CONFIG.replace("1.0, 0.0, 0.0]", "1.0, 0.5, 0.0]"), "not orthonormal"),
-        (CALIB_ANYTHING.replace("[1, 0, 0, -0.27]", "[1, 0, -0.27]"), "T_lidar_to_cam is not a pose"),
-        ("Estimate extrinsic Matrix: \n[[1, 2], [3, 4]]", "the extrinsic is not a pose"),
-        (TRACKING.replace("R_rect 0.9999239", "R_rect x"), "this is not a KITTI calibration file"),
-    ],
-)
-def test_what_is_wrong_in_files_of_livox_users_is_stated(text: str, message: str) -> None:
-    with pytest.raises(InputError, match=message) as caught:
-        read_text(text, width=1920, height=1080)
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("name", ["radtan", "Brown-Conrady", "modified_brown_conrady", "opencv"])
-def test_readers_of_files_know_the_names_of_distortion_models(name: str) -> None:
-    expected = read_text(CAMERA_INFO).camera
-    assert read_text(CAMERA_INFO.replace("plumb_bob", name)).camera == expected
-    with pytest.raises(InputError, match="maps image pixels to rays"):
-        read_text(CAMERA_INFO.replace("plumb_bob", "inverse_brown_conrady"))
-    fisheye = read_text(ECHO).camera
-    for other in ("equi", "kannala_brandt", "KannalaBrandt4", "KB4", "fisheye"):
-        assert read_text(ECHO.replace("equidistant", other)).camera == fisheye
-        assert read_text(CAMCHAIN.replace("equidistant", other), name="cam1").camera.model == "OPENCV_FISHEYE"
-
-
-def test_the_skew_of_a_message_is_stated_or_refused() -> None:
-    (remark,) = read_text(ECHO.replace("[700.0, 0.0,", "[700.0, 1.0,", 1)).remarks
-    assert "the skew 1 of K is neglected; its largest effect in the image is 0.51 px" in remark
-    with pytest.raises(InputError, match=r"K has a skew of 4\.26, which shifts pixels by up to 2\.2 px"):
-        read_text(ECHO.replace("[700.0, 0.0,", "[700.0, 4.26,", 1))

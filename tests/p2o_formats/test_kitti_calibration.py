@@ -1,10 +1,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from p2o import InputError, UnknownNameError, se3
+from p2o import UnknownNameError, se3
 from p2o_formats.kitti_calibration import (
     KittiCalibration,
     baseline_m,
@@ -15,6 +16,7 @@ from p2o_formats.kitti_calibration import (
 )
 
 from tests.p2o_datasets.kitti_files import BASELINE_M, PROJECTIONS, R_RECT, VELO_TO_CAM, numbers, write_lines
+from tests.p2o_datasets.opened import refused
 
 
 def calibration(tmp_path: Path, **lines: object) -> KittiCalibration:
@@ -52,92 +54,72 @@ def test_a_missing_key_is_named_with_the_nearest_ones(tmp_path: Path) -> None:
         found.projection("P_rect_03")
 
 
-@pytest.mark.parametrize("value", ["1 2 three", "", "1 2 3", "nan nan nan nan nan nan nan nan nan"])
-def test_lines_that_are_not_the_right_numbers_are_refused_by_name(tmp_path: Path, value: str) -> None:
-    with pytest.raises(InputError, match=r"calib\.txt: R does not contain"):
-        calibration(tmp_path, R=value).rigid("R")
+BENT = np.eye(3) + [[0, 0.01, 0], [0, 0, 0], [0, 0, 0]]
+MIRROR = np.column_stack([np.diag([1.0, 1.0, -1.0]), np.zeros(3)])
 
 
-def test_a_rotation_that_is_not_orthonormal_is_refused_by_name(tmp_path: Path) -> None:
-    bent = np.eye(3)
-    bent[0, 1] = 0.01
-    with pytest.raises(InputError, match=r"calib\.txt: the rotation of R is not orthonormal"):
-        calibration(tmp_path, R=numbers(bent)).rigid("R")
-
-
-def test_a_mirror_image_is_refused_by_name(tmp_path: Path) -> None:
-    mirror = np.column_stack([np.diag([1.0, 1.0, -1.0]), np.zeros(3)])
-    with pytest.raises(InputError, match=r"calib\.txt: the rotation of Tr mirrors space; expected determinant \+1"):
-        calibration(tmp_path, Tr=numbers(mirror)).rigid_12("Tr")
-
-
-def test_a_matrix_that_is_no_projection_is_refused_by_name(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"calib\.txt: P2 is not the projection of a rectified camera"):
-        calibration(tmp_path, P2=numbers(VELO_TO_CAM[:3])).projection("P2")
-
-
-def test_an_image_that_does_not_hold_the_principal_point_is_refused() -> None:
-    with pytest.raises(InputError, match=r"the image size does not fit the camera; .*got 20x32 px"):
-        rectified_camera(PROJECTIONS[2], 20, 32)
-
-
-@pytest.mark.parametrize("text", ["no colons here\n1 2 3\n", "  \n\n"])
-def test_a_file_of_another_format_is_refused_by_name(tmp_path: Path, text: str) -> None:
-    (tmp_path / "calib.txt").write_text(text)
-    with pytest.raises(InputError, match=r"calib\.txt: this is not a KITTI calibration file"):
-        read_calibration(tmp_path / "calib.txt")
-
-
-def test_missing_empty_and_folder_are_refused_by_name(tmp_path: Path) -> None:
-    path = tmp_path / "calib.txt"
-    with pytest.raises(InputError, match=r"calib\.txt: the calibration file is missing"):
-        read_calibration(path)
-    path.touch()
-    with pytest.raises(InputError, match=r"calib\.txt: the calibration file is empty"):
-        read_calibration(path)
-    path.unlink()
-    path.mkdir()
-    with pytest.raises(InputError, match=r"calib\.txt: the calibration file is a folder"):
-        read_calibration(path)
-
-
-def test_a_file_cut_inside_a_line_is_refused_by_name(tmp_path: Path) -> None:
-    write_lines(tmp_path / "calib.txt", {"R": numbers(np.eye(3)), "T": "0.1 0.2 0.3"})
-    text = (tmp_path / "calib.txt").read_text()
-    (tmp_path / "calib.txt").write_text(text[:-5])
-    with pytest.raises(InputError, match=r"calib\.txt: T does not contain 3 finite numbers"):
-        read_calibration(tmp_path / "calib.txt").rigid("R", "T")
+def _changed(row: int, column: int, value: float) -> np.ndarray:
+    projection = PROJECTIONS[2].copy()
+    projection[row, column] = value
+    return projection
 
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(
-    ("change", "value"), [((0, 0), 0.0), ((1, 1), -50.0), ((0, 2), 1e300), ((0, 3), 1e9), ((1, 3), float("inf"))]
+    ("key", "value", "message"),
+    [
+        *(("R", value, "R does not contain") for value in ("1 2 three", "", "1 2 3", " ".join(["nan"] * 9))),
+        *(
+            ("R", numbers(matrix), "the rotation of R is not orthonormal")
+            for matrix in (BENT, *(scale * np.eye(3) for scale in (1e3, 1e200, 1e-200)))
+        ),
+        ("Tr", numbers(MIRROR), r"the rotation of Tr mirrors space; expected determinant \+1"),
+        ("P2", numbers(VELO_TO_CAM[:3]), "P2 is not the projection of a rectified camera"),
+        *(
+            ("P2", numbers(_changed(*change)), "P2")
+            for change in ((0, 0, 0.0), (1, 1, -50.0), (0, 2, 1e300), (0, 3, 1e9), (1, 3, np.inf))
+        ),
+    ],
 )
-def test_projections_that_no_camera_has_are_refused_by_name(
-    tmp_path: Path, change: tuple[int, int], value: float
-) -> None:
-    projection = PROJECTIONS[2].copy()
-    projection[change] = value
-    with pytest.raises(InputError, match=r"calib\.txt: P2"):
-        calibration(tmp_path, P2=numbers(projection)).projection("P2")
+def test_lines_with_wrong_numbers_are_refused_by_name(tmp_path: Path, key: str, value: str, message: str) -> None:
+    found = calibration(tmp_path, **{key: value})
+    with refused(rf"calib\.txt: {message}"):
+        {"R": found.rigid, "Tr": found.rigid_12, "P2": found.projection}[key](key)
 
 
-@pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("scale", [1e3, 1e200, 1e-200])
-def test_a_rotation_of_another_size_is_refused_by_name(tmp_path: Path, scale: float) -> None:
-    with pytest.raises(InputError, match=r"calib\.txt: the rotation of R is not orthonormal"):
-        calibration(tmp_path, R=numbers(scale * np.eye(3))).rigid("R")
+def test_an_image_that_does_not_hold_the_principal_point_is_refused() -> None:
+    with refused(r"the image size does not fit the camera; .*got 20x32 px"):
+        rectified_camera(PROJECTIONS[2], 20, 32)
 
 
 LINE = "Tr: " + " ".join(f"{v:.6e}" for v in (0, -1, 0, 0.02, 0, 0, -1, -0.08, 1, 0, 0, -0.27))
 
 
-@pytest.mark.parametrize("cut", [1, 4, 5, 9])
-def test_a_file_that_ends_within_a_number_is_refused(tmp_path: Path, cut: int) -> None:
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (None, "the calibration file is missing"),
+        ("", "the calibration file is empty"),
+        (Path.mkdir, "the calibration file is a folder"),
+        ("no colons here\n1 2 3\n", "this is not a KITTI calibration file"),
+        ("  \n\n", "this is not a KITTI calibration file"),
+        *((LINE[:-cut], "the file is truncated") for cut in (1, 4, 5, 9)),
+    ],
+)
+def test_a_file_that_is_no_calibration_is_refused_by_name(tmp_path: Path, content: Any, message: str) -> None:
     path = tmp_path / "calib.txt"
-    path.write_text(LINE[:-cut])
-    with pytest.raises(InputError, match="the file is truncated"):
+    if callable(content):
+        content(path)
+    elif content is not None:
+        path.write_text(content)
+    with refused(rf"calib\.txt: {message}"):
         read_calibration(path)
+
+
+def test_a_file_cut_between_numbers_is_refused_by_name(tmp_path: Path) -> None:
+    (tmp_path / "calib.txt").write_text(f"R: {numbers(np.eye(3))}\nT: 0.1 0.2")
+    with refused(r"calib\.txt: T does not contain 3 finite numbers"):
+        read_calibration(tmp_path / "calib.txt").rigid("R", "T")
 
 
 def test_a_missing_line_end_and_a_distant_lidar_are_warnings(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from p2o import InputError, se3
 
+from tests.p2o_datasets.opened import refused
 from tests.p2o_formats.calibrations import read_text
 
 AHEAD = se3.inverse(se3.make([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], [0.27, 0.06, -0.08]))
@@ -293,9 +294,8 @@ OUSTER = (
     ],
 )  # fmt: skip
 def test_what_is_not_one_lidar_and_one_camera_in_one_tree_is_refused(joints: Any, message: str) -> None:
-    with pytest.raises(InputError, match=message) as caught:
+    with refused(message):
         read_text(urdf(*joints))
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -359,6 +359,5 @@ def test_what_cannot_be_evaluated_is_named(text: str, message: str) -> None:
         found = read_text(text)  # Without the optical frame, whose name is unknown.
         assert found.camera_frame == "camera_link"
         return
-    with pytest.raises(InputError, match=message) as caught:
+    with refused(message):
         read_text(text)
-    assert "\n" not in str(caught.value)

@@ -19,6 +19,7 @@ from p2o import InputError, MethodUnavailable, P2OError
 from p2o.reading import expanded, listing, parse_yaml, read_start, read_text
 
 from p2o_datasets.bags.bag_guard import check_chunks, check_sqlite, escaped, limit_steps, limited_connections
+from p2o_datasets.lazy_dataset import file_inside
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
@@ -186,10 +187,7 @@ def _files_of_metadata(folder: Path) -> tuple[list[Path], bool]:
     files = [folder / PurePosixPath(name).name for name in names]
     if not files:
         raise InputError("the bag has no files", where=where, expected="relative_file_paths", got="an empty list")
-    outside = next((file for file in files if not file.resolve().is_relative_to(folder.resolve())), None)
-    if outside is not None:
-        raise InputError("a file of the bag is outside its folder", where=where, got=outside.name)
-    return files, mode == "message"
+    return [file_inside(folder.resolve(), folder, file.name, where) for file in files], mode == "message"
 
 
 def _kind(file: Path) -> str:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
 
 from p2o_sim.places.building_shell import RIG_ROOM_M, FloorPlan, Hall, Opening, daylight, outside, plinth, slab, wall
 from p2o_sim.places.yard import stock
-from p2o_sim.things.fittings import Style, carton, pendant, strip_light, trolley, wall_print
+from p2o_sim.things.fittings import Item, Style, carton, pendant, strip_light, trolley, wall_print
 from p2o_sim.things.furniture import barrier, sign
 from p2o_sim.things.people import pedestrian
 from p2o_sim.things.vehicles import car, van
@@ -16,9 +17,8 @@ from p2o_sim.world.lighting import Lamp, triple
 from p2o_sim.world.mesh import Mesh, boxes, cylinder, join, loft, rectangle, sized, stacked, tubes, wheel
 from p2o_sim.world.palette import CONCRETE, DARK_STEEL, PAINT, SIGNS, STEEL, TRIM, TYRE, WALLS, WOOD, pick
 from p2o_sim.world.place import Layout, Plan, Thing, placed
-from p2o_sim.world.scene import Class, Material, Part
+from p2o_sim.world.scene import Class, Material, Part, built
 
-Item = tuple[Thing, float, float]
 _PAINTS = ((0.03, 0.14, 0.36), (0.55, 0.16, 0.02), (0.6, 0.45, 0.03), (0.05, 0.2, 0.12), (0.35, 0.36, 0.37))
 _LIGHTS = np.array([[1.0, 0.97, 0.9], [0.9, 1.0, 1.03], [1.0, 0.8, 0.55]])
 
@@ -112,7 +112,7 @@ def _gate_or_window(rng: np.random.Generator, hall: Hall, name: str, hole: Openi
     rails = boxes([[-0.1, -0.04, 0.0], [wide, -0.04, 0.0]], [[0.0, 0.1, high], [wide + 0.1, 0.1, high]])
     drum = tubes([[-0.1, -0.2, high + 0.2]], [[wide + 0.1, -0.2, high + 0.2]], [0.2], sides=12)
     solids = ((sized(low, [wide, 0.03, 0.113]), paint), (rails + drum, DARK_STEEL))
-    return [hall.on_wall(name, [Part(mesh, material, kind=Class.BUILDING) for mesh, material in solids], hole.start)]
+    return [hall.on_wall(name, built(Class.BUILDING, *solids), hole.start)]
 
 
 def _frame(rng: np.random.Generator, hall: Hall, floor: FloorPlan) -> list[Thing]:
@@ -250,7 +250,7 @@ def machine(rng: np.random.Generator) -> Item:
         Part(boxes([[-a, -b, 0.0]], [[a, b, 0.35 * high]]), paint),
         Part(boxes([[-a, -0.8 * b, 0.35 * high]], [[cut, 0.9 * b, high]]), other),
         Part(hood.moved((a + cut) / 2), paint),
-        *(Part(mesh, material) for mesh, material in ((pipes, STEEL), (cabinet, other), (face, panel))),
+        *built(Class.FURNITURE, (pipes, STEEL), (cabinet, other), (face, panel)),
     ]
     if rng.random() < 0.5:
         parts.append(Part(rail, yellow, kind=Class.FENCE))
@@ -277,8 +277,7 @@ def fork_lift(rng: np.random.Generator) -> Item:
     wheels += [wheel(0.22, 0.18).moved(-0.65, y, 0.22) for y in (-0.45, 0.45)]
     seat = boxes([[-0.5, -0.25, 0.9], [-0.6, -0.25, 0.95]], [[0.0, 0.25, 1.05], [-0.48, 0.25, 1.5]])
     steel = cage + mast + forks + shanks
-    solids = ((body, paint), (steel, DARK_STEEL), (join(wheels), TYRE), (seat, TRIM))
-    parts = [Part(mesh, material, kind=Class.VAN) for mesh, material in solids]
+    parts = built(Class.VAN, (body, paint), (steel, DARK_STEEL), (join(wheels), TYRE), (seat, TRIM))
     if rng.random() < 0.5:
         parts.append(Part(boxes([[0.9, -0.5, z + 0.04]], [[1.8, 0.5, z + 0.17]]), WOOD, kind=Class.VAN))
         parts += _load(rng, 0.95, -0.42, float(z) + 0.17, 0.8, 0.85)
@@ -301,34 +300,36 @@ def pallets(rng: np.random.Generator) -> Item:
     return parts, 1.3, 0.95
 
 
+def _vehicle(rng: np.random.Generator) -> Item:
+    if rng.random() < 0.6:
+        return fork_lift(rng)
+    return (van if rng.random() < 0.7 else car)(rng), 5.8, 2.3
+
+
+_FLOOR_ITEMS: tuple[tuple[float, Callable[[np.random.Generator], Item]], ...] = (
+    (0.2, machine),
+    (0.3, _vehicle),
+    (0.5, pallets),
+    (0.66, lambda rng: (pedestrian(rng), 0.8, 0.8)),
+    (0.76, lambda rng: trolley(Style(rng))),
+    (0.8, lambda rng: (barrier(rng), 0.3, 2.4)),
+    (0.84, lambda rng: (sign(rng), 0.7, 0.9)),
+    (0.9, lambda rng: (carton(rng), 0.8, 0.8)),
+    (1.0, lambda rng: (stock(rng, vehicles=False), 3.1, 2.5)),
+)
+"""Things on the floor with their width and depth, and cumulative frequencies."""
+_MOST_VEHICLES = 3
+
+
 def _on_the_floor(rng: np.random.Generator, floor: FloorPlan) -> list[Thing]:
     """Return machines, pallets, vehicles, people and clutter on the free floor."""
     out: list[Thing] = []
     vehicles = 0
     for x, y in floor.spots(rng, int(rng.integers(50, 130))):
         draw = rng.random()
-        if draw < 0.2:
-            thing, wide, deep = machine(rng)
-        elif draw < 0.3 and vehicles < 3:
-            vehicles += 1
-            if rng.random() < 0.6:
-                thing, wide, deep = fork_lift(rng)
-            else:
-                thing, wide, deep = (van if rng.random() < 0.7 else car)(rng), 5.8, 2.3
-        elif draw < 0.5:
-            thing, wide, deep = pallets(rng)
-        elif draw < 0.66:
-            thing, wide, deep = pedestrian(rng), 0.8, 0.8
-        elif draw < 0.76:
-            thing, wide, deep = trolley(Style(rng))
-        elif draw < 0.8:
-            thing, wide, deep = barrier(rng), 0.3, 2.4
-        elif draw < 0.84:
-            thing, wide, deep = sign(rng), 0.7, 0.9
-        elif draw < 0.9:
-            thing, wide, deep = carton(rng), 0.8, 0.8
-        else:
-            thing, wide, deep = stock(rng, vehicles=False), 3.1, 2.5
+        make = next(m for share, m in _FLOOR_ITEMS if draw < share and (m is not _vehicle or vehicles < _MOST_VEHICLES))
+        vehicles += make is _vehicle
+        thing, wide, deep = make(rng)
         turn = 90.0 * rng.integers(4) + (rng.uniform(-15.0, 15.0) if wide < 1.4 else rng.uniform(-3.0, 3.0))
         if floor.take_turned(x, y, wide, deep, turn, gap=0.15):
             out.append(placed(thing, x, y, yaw_deg=turn))

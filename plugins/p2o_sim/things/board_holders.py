@@ -8,12 +8,9 @@ import numpy as np
 from p2o import Box, Checkerboard, HoleBoard, Sphere, se3
 
 from p2o_sim.things.boards import THICKNESS_M, Board
-from p2o_sim.things.bodies import pole_below
+from p2o_sim.things.bodies import pole_below, tripod
 from p2o_sim.things.people import holder
-from p2o_sim.world.mesh import stacked, tubes
-from p2o_sim.world.palette import DARK_STEEL
 from p2o_sim.world.place import Thing, placed
-from p2o_sim.world.scene import Class, Part
 
 Holder = Literal["person", "stand"]
 
@@ -63,12 +60,6 @@ def _stand(board: Board, target: Checkerboard | HoleBoard, ground_m: float) -> T
     rim = np.append(reach * down, behind)
     # The bar ends at the rim of boards with holes, so that the holes are free.
     inner = np.array([0.0, 0.0, behind]) if isinstance(target, Checkerboard) else np.append(0.94 * reach * down, behind)
-    bottom, top = se3.apply(board.world_from_board, np.array([rim, inner]))
-    foot = np.array([bottom[0], bottom[1], ground_m])
-    turn = 2 * np.pi * np.arange(3) / 3 + 0.3
-    toes = foot + 0.38 * stacked(np.cos(turn), np.sin(turn), 0.0)
-    knee = foot + [0.0, 0.0, min(0.35, 0.7 * (bottom[2] - ground_m))]
-    start = np.concatenate([[foot + [0, 0, 0.08], bottom], np.tile(knee, (3, 1))])
-    end = np.concatenate([[bottom, top], toes])
-    poles = tubes(start, end, np.array([0.016, 0.014, 0.012, 0.012, 0.012]), sides=8)
-    return [Part(poles, DARK_STEEL, kind=Class.POLE)]
+    rods = se3.apply(board.world_from_board, np.array([rim, inner]))
+    knee_m = min(0.35, 0.7 * (rods[0, 2] - ground_m))
+    return tripod(rods, ground_m, (0.016, 0.014), foot_m=0.38, low_m=0.08, knee_m=knee_m, sides=8)

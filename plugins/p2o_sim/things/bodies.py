@@ -26,7 +26,6 @@ TONES = (1.0, 0.74, 0.55)
 """Brightness of the faces of a box normal to its x, y and z axis, so that each edge is visible in any light."""
 _HALVINGS = 6
 """Subdivisions of an octahedron: the faces of a sphere then deviate by at most 0.02 % of its radius."""
-_POLE_M, _FOOT_M = 0.018, 0.35
 
 
 def body_parts(target: Sphere | Box, number: int) -> list[tuple[Mesh, Material]]:
@@ -85,10 +84,16 @@ def turned_to(towards: Float, rng: np.random.Generator) -> Float:
 
 def pole_below(centre: Float, ground_m: float) -> Thing:
     """Return a tripod that ends at the centre (3,) of a body in the world."""
-    foot = np.array([centre[0], centre[1], ground_m])
+    return tripod(centre[None], ground_m, (0.018,), foot_m=0.35, low_m=0.05, knee_m=0.2, sides=12)
+
+
+def tripod(
+    rods: Float, ground_m: float, radii_m: tuple[float, ...], *, foot_m: float, low_m: float, knee_m: float, sides: int
+) -> Thing:
+    """Return a tripod below the first of the points `rods` (N, 3), which its pole, from `low_m` above ground, joins."""
+    foot = np.array([rods[0, 0], rods[0, 1], ground_m])
     turn = 2 * np.pi * np.arange(3) / 3 + 0.3
-    toes = foot + _FOOT_M * stacked(np.cos(turn), np.sin(turn), 0.0)
-    knee = foot + [0.0, 0.0, 0.2]
-    start = np.concatenate([[foot + [0, 0, 0.05]], np.tile(knee, (3, 1))])
-    poles = tubes(start, np.concatenate([[centre], toes]), np.array([_POLE_M, 0.012, 0.012, 0.012]), sides=12)
+    toes = foot + foot_m * stacked(np.cos(turn), np.sin(turn), 0.0)
+    start = np.concatenate([[foot + [0, 0, low_m]], rods[:-1], np.tile(foot + [0.0, 0.0, knee_m], (3, 1))])
+    poles = tubes(start, np.concatenate([rods, toes]), np.array([*radii_m, 0.012, 0.012, 0.012]), sides=sides)
     return [Part(poles, DARK_STEEL, kind=Class.POLE)]

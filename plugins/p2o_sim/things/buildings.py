@@ -4,13 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from p2o_sim.world.mesh import Mesh, boxes, loft, quads, rectangle, sized, stacked
+from p2o_sim.world.mesh import boxes, loft, quads, rectangle, sized, stacked
 from p2o_sim.world.palette import DARK_STEEL, FRAME, GLASS, SIGNS, STEEL, STONE, WALLS, WOOD, pick
-from p2o_sim.world.scene import Class, Material, Part
-
-
-def _built(*solids: tuple[Mesh, Material]) -> list[Part]:
-    return [Part(mesh, material, kind=Class.BUILDING) for mesh, material in solids]
+from p2o_sim.world.scene import Class, Material, Part, built
 
 
 def town_house(rng: np.random.Generator, length: float) -> list[Part]:
@@ -22,7 +18,7 @@ def town_house(rng: np.random.Generator, length: float) -> list[Part]:
         a, b = x - wide / 2, x + wide / 2
         sheet = quads(np.array([[[a, -1.3, 2.35], [b, -1.3, 2.35], [b, 0.0, 2.95], [a, 0.0, 2.95]]]))
         board = Material("shop sign", pick(rng, SIGNS), 0.2, 0.6, pattern="plain")
-        parts += _built((sheet, cloth), (boxes([[a, -0.2, 2.95]], [[b, 0.0, 3.5]]), board))
+        parts += built(Class.BUILDING, (sheet, cloth), (boxes([[a, -0.2, 2.95]], [[b, 0.0, 3.5]]), board))
     return parts
 
 
@@ -33,7 +29,7 @@ def villa(rng: np.random.Generator, length: float) -> list[Part]:
     x = rng.uniform(0.25, 0.7) * length
     chimney = boxes([[x, depth * 0.45, height]], [[x + 0.6, depth * 0.45 + 0.6, height + 4.0]])
     brick = Material("chimney", (0.25, 0.1, 0.07), 0.5, 0.4, pattern="brick")
-    return parts + _built((chimney, brick))
+    return parts + built(Class.BUILDING, (chimney, brick))
 
 
 def block(rng: np.random.Generator, length: float) -> list[Part]:
@@ -55,7 +51,7 @@ def _house(rng: np.random.Generator, length: float, *, depth: float, height: flo
         solids.append((boxes([[-0.2, -0.58, height - 0.02]], [[length + 0.2, -0.45, height + 0.1]]), STEEL))
     solids.append((boxes([[-0.01, -0.05, -0.5]], [[length + 0.01, 0.3, 0.6]]), STONE))
     solids.append((boxes([[0.15, -0.12, 0.0]], [[0.25, -0.02, height]]), DARK_STEEL))
-    return _built(*solids) + _openings(rng, length, height)
+    return built(Class.BUILDING, *solids) + _openings(rng, length, height)
 
 
 def _openings(rng: np.random.Generator, length: float, height: float) -> list[Part]:
@@ -94,4 +90,4 @@ def _openings(rng: np.random.Generator, length: float, height: float) -> list[Pa
         [[x_door + 0.62, 0.05, 2.28], [x_door + 0.9, 0.0, 0.16]],
     )
     leaf = boxes([[x_door - 0.5, -0.07, 0.0]], [[x_door + 0.5, 0.05, 2.15]])
-    return _built(*solids, (case, STONE), (leaf, WOOD))
+    return built(Class.BUILDING, *solids, (case, STONE), (leaf, WOOD))

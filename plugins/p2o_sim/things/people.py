@@ -7,7 +7,7 @@ from p2o import Float
 
 from p2o_sim.world.mesh import Mesh, circle, join, loft, stacked, tubes
 from p2o_sim.world.palette import CLOTH, DARK_STEEL, RUBBER, SKIN, pick
-from p2o_sim.world.scene import Class, Material, Part
+from p2o_sim.world.scene import Class, Material, Part, built
 
 
 def pedestrian(rng: np.random.Generator) -> list[Part]:
@@ -67,7 +67,7 @@ def cyclist(rng: np.random.Generator) -> list[Part]:
         rng, np.array([-0.18, 0.0, 0.95]), np.array([0.14, 0.0, 1.5]), 1.72, reach=(0.26, -0.46), kind=Class.CYCLIST
     )
     solids = ((frame + handle, DARK_STEEL), (join(wheels), RUBBER), (legs, _trousers(rng)))
-    return [*(Part(mesh, material, kind=Class.CYCLIST) for mesh, material in solids), *body]
+    return [*built(Class.CYCLIST, *solids), *body]
 
 
 def _upper_body(
@@ -94,8 +94,7 @@ def _upper_body(
     hair = Material("hair", (0.03, 0.022, 0.015), 0.3, 0.3)
     skull = neck + [0.02, 0, 0.1 * tall]
     head, mop = _ball(0.105).moved(*skull), _ball(0.112).moved(*(skull + [-0.025, 0, 0.025]))
-    solids = ((loft(rings) + arms, coat), (head, SKIN), (mop, hair))
-    return [Part(mesh, material, kind=kind) for mesh, material in solids]
+    return built(kind, (loft(rings) + arms, coat), (head, SKIN), (mop, hair))
 
 
 def _ball(radius: float) -> Mesh:

@@ -9,7 +9,7 @@ from p2o_sim.world import palette
 from p2o_sim.world.mesh import Mesh, boxes, join, sized, stacked, wheel
 from p2o_sim.world.palette import CLOTH, DARK_STEEL, GLASS, HEADLIGHT, PLATE, RIM, SIGNS, TAIL_LIGHT, TRIM, TYRE, pick
 from p2o_sim.world.place import Plan, Thing, placed
-from p2o_sim.world.scene import Class, Material, Part
+from p2o_sim.world.scene import Class, Material, Part, built
 
 # Outline of the top as seen from the side: share of the length from the nose, height in metres, width of the top as a
 # share of the full width. Windows fill what lies between the belt and the top where the top is above the belt.
@@ -168,7 +168,7 @@ def _vehicle(
         (trim, TRIM),
     )
     wheels = _wheels(kind, [0.32 * long, -0.29 * long], wide, wheel_m) if wheel_m > 0 else []
-    return [*(Part(mesh, material, kind=kind) for mesh, material in solids), *wheels]
+    return [*built(kind, *solids), *wheels]
 
 
 def _skin(

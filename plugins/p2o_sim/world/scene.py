@@ -80,6 +80,11 @@ class Part:
         return replace(self, mesh=self.mesh.moved(x, y, z, yaw_deg=yaw_deg))
 
 
+def built(kind: Class, *solids: tuple[Mesh, Material]) -> list[Part]:
+    """Return parts of one class: meshes with their materials."""
+    return [Part(mesh, material, kind=kind) for mesh, material in solids]
+
+
 @dataclass(frozen=True, eq=False)
 class Mover:
     """Parts that move with constant `twist` (6,), rad/s and m/s in the world frame, from their pose at time 0."""

@@ -17,7 +17,8 @@ _COLOURS = {
     "TrafficLight": (200, 200, 0), "Pole": (255, 130, 0), "Misc": (80, 80, 80), "Truck": (160, 60, 60),
     "Car": (255, 127, 80), "Van": (0, 139, 139), "Undefined": (0, 0, 0),
 }  # fmt: skip
-_SKY_CM = 65535
+SKY_CM = 65535
+"""Depth of the sky in files of Virtual KITTI 2, in centimetres."""
 
 
 def write(frames: Iterable[Frame], root: Path) -> Iterator[str]:
@@ -55,7 +56,7 @@ def _centimetres(image: Image) -> np.ndarray:
     """Return depth (H, W) uint16 in centimetres along the axis, 65535 for sky, 0 if unknown."""
     steps = np.rint(100.0 * np.asarray(image.depth_m))
     # Values that round to 0 would mean unknown.
-    steps = np.clip(np.where(np.isnan(steps), -1, steps), None, _SKY_CM)
+    steps = np.clip(np.where(np.isnan(steps), -1, steps), None, SKY_CM)
     return np.where(steps < 0, 0, np.maximum(steps, 1)).astype(np.uint16)
 
 

@@ -15,6 +15,7 @@ from p2o_datasets.bags.bag import Bag
 from rosbags.rosbag2 import storage_mcap
 
 from tests.bag_files import file_of, image, write_bag
+from tests.p2o_datasets.opened import refused
 
 START_NS = 1_700_000_000_000_000_000
 ENDLESS = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n)"
@@ -53,9 +54,8 @@ def test_a_schema_that_computes_and_cells_of_other_types_are_refused(tmp_path: P
     file = bag(tmp_path)
     with closing(sqlite3.connect(file)) as connection:
         connection.executescript(script)
-    with pytest.raises(InputError, match=r"the bag cannot be read; (expected the plain|got .*malformed)") as caught:
+    with refused(r"the bag cannot be read; (expected the plain|got .*malformed)"):
         Bag(file)
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("column", ["data", "timestamp"])

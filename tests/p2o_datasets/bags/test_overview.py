@@ -90,7 +90,6 @@ def test_a_topic_that_cannot_be_read_says_so_in_its_line(tmp_path: Path) -> None
     odd = Said("/points", "sensor_msgs/msg/Image", START_NS, image("/points", START_NS, PIXELS).fields | {"height": 0})
     topics = {t.name: t for t in overview(Bag(write_bag(tmp_path, [wrong], "sqlite3")))}
     assert topics["/points"].rate_hz is None
-    (tmp_path / "odd").mkdir()
     assert overview(Bag(write_bag(tmp_path / "odd", [odd])))[0].details == "16x0 px rgb8"
 
 
@@ -99,7 +98,6 @@ def test_the_only_topic_of_a_type_is_taken_and_a_raw_one_before_its_compressed_t
     depth = compressed("/left/image_raw/compressedDepth", START_NS, b"1234")
     chosen = choose(Bag(write_bag(tmp_path, drive(twin, depth))))
     assert chosen.image.name == "/left/image_raw"
-    assert chosen.camera_info is not None
     assert chosen.camera_info.name == "/left/camera_info"
 
 
@@ -109,7 +107,6 @@ def test_the_camera_info_beside_the_image_is_taken(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"several topics of type image.*/left/image_raw, /right/image_raw"):
         choose(bag)
     chosen = choose(bag, image="/right/image_raw")
-    assert chosen.camera_info is not None
     assert chosen.camera_info.name == "/right/camera_info"
 
 
@@ -122,10 +119,8 @@ def test_topics_that_are_wrong_or_missing_are_said(tmp_path: Path) -> None:
     ):
         choose(bag, cloud="/left/image_raw")
     assert choose_path(bag) is None
-    (tmp_path / "none").mkdir()
     with pytest.raises(InputError, match=r"the bag has no topic of an image.*got /points"):
         choose(Bag(write_bag(tmp_path / "none", [cloud("/points", START_NS, POINTS)])))
-    (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match=r"no topic of an image.*an empty bag"):
         choose(Bag(write_bag(tmp_path / "empty", [], "sqlite3")))
 
