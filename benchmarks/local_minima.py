@@ -17,8 +17,9 @@ from unittest.mock import patch
 
 from p2o import Frame, Registry
 from p2o.calibration.algorithm import Algorithm, Refined
+from p2o.run.outcome import Row
 from p2o.run.recipe import Recipe
-from p2o.run.run import Row, run
+from p2o.run.run import run
 
 WRONG, GOOD = (1.0, 0.3), (0.5, 0.15)
 CASES = (("given", "2deg 0.15m"), ("search", "2deg 0.15m"), ("search", "4deg 0.3m"), ("search", "8deg 0.6m"))

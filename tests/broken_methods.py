@@ -655,6 +655,7 @@ dataset(
     "poses_belong_to_a_sequence",
 )
 dataset("frames that change", Changing, drive(), "frames_are_read_alike_again")
+dataset("any folder", Frames, drive(), "other_folders_are_not_recognised", recognises=lambda path: True)
 dataset("no counting from the end", Forward, drive(), "datasets_are_sequences")
 dataset("what is not held", Frames, [stage.frame()], "frames_hold_what_is_given", gives={"rings", "twist"})
 dataset("time runs back", Frames, drive()[::-1], "times_do_not_fall_in_a_sequence")

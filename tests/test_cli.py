@@ -21,7 +21,7 @@ from p2o.cli.run import Required
 from p2o.cli.summary import describe, describe_briefly, describe_run
 from p2o.results.result_json import result_from_json
 from p2o.results.verdict import Doubt, Reason, Verdict
-from p2o.run.run import Row, Run
+from p2o.run.outcome import Row, Run
 from p2o.solving import Accuracy
 
 from tests.p2o_datasets.kitti_files import HEIGHT, WIDTH, write_image

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 from p2o import Camera, Dataset, Float, Frame, InputError, Method, Options, field, se3
-from p2o.reading import existing_folder, listing, naming, parse_yaml, read_text
+from p2o.reading import existing_folder, layout, listing, naming, parse_yaml, read_text
 from p2o_formats.kitti_calibration import calibration_of, read_calibration, rectified_camera
 
 from p2o_datasets import lazy_dataset
@@ -237,4 +237,5 @@ METHOD = Method(
     summary="KITTI-360: rectified front cameras, side fisheyes, raw sweeps compensated with the vehicle's poses.",
     gives=frozenset({"rings", "intensity", "time"}),
     cite="Liao, Xie, Geiger: KITTI-360: a novel dataset and benchmarks for urban scene understanding. PAMI 2022",
+    recognises=layout("data_3d_raw"),
 )

@@ -12,8 +12,8 @@ import pytest
 from p2o import Frame, InputError, Kind, Method, PluginError, Recipe, Registry, Result, Status, UnknownNameError
 from p2o.host import calibration_file
 from p2o.run.isolated import isolated
+from p2o.run.outcome import Run
 from p2o.run.recipe import open_exporter, parse_settings, split_data
-from p2o.run.run import Run
 from p2o_formats import hooks as formats
 from p2o_testing import stage
 
@@ -261,7 +261,7 @@ def test_a_dataset_with_and_without_a_path() -> None:
         resolved(data="synthetic:/a")
     with pytest.raises(InputError, match=r"options follow a question mark: synthetic:\?scenes=2"):
         resolved(data="synthetic:scenes=2")
-    with pytest.raises(InputError, match=r"/a/b: no such folder; expected DATASET:PATH"):
+    with pytest.raises(InputError, match=r"/a/b: no such file or folder; expected DATASET:PATH"):
         resolved(data="/a/b")
     with pytest.raises(UnknownNameError, match=r"unknown dataset 'fils'.*did you mean files\?"):
         resolved(data="fils:/a")

@@ -118,8 +118,8 @@ def _evaluated(recipe: Recipe, most: int, pose: Which, registry: Registry) -> tu
     from p2o.frames.selection import select, spread
     from p2o.problems.point_to_line import PointToLine
     from p2o.run.given_pose import GivenPose
+    from p2o.run.initial_guess import listed_errors, one_camera
     from p2o.run.pipeline import Pipeline
-    from p2o.run.run import listed_errors, one_camera
 
     plan = recipe.resolve(registry)
     dataset, pipeline = plan.dataset(), plan.assembly().calibrator

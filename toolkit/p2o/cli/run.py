@@ -35,8 +35,9 @@ if TYPE_CHECKING:
     from p2o.host.registry import Registry
     from p2o.host.stages import Exporter
     from p2o.results.result import Result, RigResult
+    from p2o.run.outcome import FailedFrame, Row, Run
     from p2o.run.recipe import Plan
-    from p2o.run.run import FailedFrame, Progress, Row, Run
+    from p2o.run.run import Progress
 
 
 @click.command("run", cls=StartCommand)
@@ -214,9 +215,9 @@ def command(
 def _plan(words: Mapping[str, Any], settings: Sequence[str], registry: Registry) -> Plan:
     """Return the plan of the words that are given on the command line, with a preset and the options in `settings`."""
     from p2o.geometry.perturb import parse_accuracy
+    from p2o.run.initial_guess import starts_of
     from p2o.run.presets import preset_of
     from p2o.run.recipe import Recipe
-    from p2o.run.run import starts_of
     from p2o.run.words import parse_settings
 
     given = {name: value for name, value in words.items() if value is not None}
@@ -330,8 +331,9 @@ def _calibrated(
     `isolate` are plugins to leave out and files of plugins for a worker process, None for this process.
     """
     from p2o.run.isolated import isolated
+    from p2o.run.outcome import Run
     from p2o.run.protocol import protocol_of
-    from p2o.run.run import Run, run
+    from p2o.run.run import run
 
     interrupted, common = False, None
     problem: Exception | None = None

@@ -21,9 +21,10 @@ from p2o.geometry.rough_start import is_rough_start
 from p2o.host.calibration_file import InitialGuess, read_calibration
 from p2o.host.registry import Registry
 from p2o.results.check import Check, CheckStatus, Slip, Watch
+from p2o.run.initial_guess import common_pose, one_camera
 from p2o.run.pipeline import Pipeline
 from p2o.run.recipe import Plan, Recipe
-from p2o.run.run import common_pose, frame_at, one_camera, selected
+from p2o.run.run import frame_at, selected
 from p2o.run.words import parse_settings
 
 Data = str | Dataset | Sequence[Frame] | Frame

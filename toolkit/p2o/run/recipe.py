@@ -98,7 +98,7 @@ class Recipe(BaseModel):
             guess = InitialGuess.read(self.start, registry=registry)
             if self.perturb is not None:
                 raise InputError("both a start and a perturbation are given", expected="one of them")
-        names, values_of = self._names()
+        names, values_of = self._names(registry)
         for stage in self.options:
             if stage not in (*STAGES, *WITNESS):
                 raise UnknownNameError("stage", stage, (*STAGES, *WITNESS), where="options")
@@ -181,12 +181,12 @@ class Recipe(BaseModel):
         except UnknownNameError:
             return {}
 
-    def _names(self) -> tuple[dict[str, str], dict[str, dict[str, Any]]]:
+    def _names(self, registry: Registry) -> tuple[dict[str, str], dict[str, dict[str, Any]]]:
         """Return the method name of each stage, and options that the data text holds."""
         names: dict[str, str] = {}
         options: dict[str, dict[str, Any]] = {}
         if self.data is not None:
-            names["data"], options["data"] = split_data(self.data)
+            names["data"], options["data"] = split_data(self.data, registry)
         if self.accumulate is not None:
             names["accumulate"] = self.accumulate
         if self.calibrator is not None:
@@ -313,7 +313,7 @@ def dataset_part(data: str, registry: Registry, options: Mapping[str, Any] | Non
 
     Raises as `Recipe.resolve`.
     """
-    name, values = split_data(data)
+    name, values = split_data(data, registry)
     return part_of(_dataset(name, data, registry), "data", {**values, **(options or {})}, Recipe().seed)
 
 
