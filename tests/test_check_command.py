@@ -126,23 +126,6 @@ def test_an_inverse_is_refused_however_the_warning_is_worded(
         look(frames, inverse)
 
 
-def test_a_warning_that_reads_like_an_inverse_refuses_nothing(
-    frames: list[p2o.Frame], truth: np.ndarray, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    aside = se3.exp(np.array([0.0, 0.0, 0.0, 0.5, 0.5, 0.5])) @ truth
-    monkeypatch.setattr(Direction, "warnings", lambda *_: ("it may be lidar_from_camera",))
-    assert p2o.check(frames, aside).warnings[0] == "it may be lidar_from_camera"
-
-
-def test_the_inverse_of_an_extrinsic_is_refused(
-    truth: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["check", DATA, "--extrinsic", written(tmp_path, se3.inverse(truth).tolist())]) == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1
-    assert "lidar_from_camera" in said
-
-
 @pytest.mark.parametrize(
     ("words", "told"),
     [

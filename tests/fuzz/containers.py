@@ -8,8 +8,6 @@ import os
 import shutil
 import sqlite3
 import struct
-import zipfile
-from collections.abc import Sequence
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -20,7 +18,6 @@ import numpy as np
 from tests.fuzz.bases import RUN, Bases
 from tests.fuzz.mutate import NUMBERS, VALUES, WORDS, bytes_of, tree_of
 from tests.fuzz.surfaces import OUT, Case, read_or_run
-from tests.study_bench import PLUGIN
 
 
 def _bag_case(rng: Random, name: str) -> Case:
@@ -340,47 +337,3 @@ def plugin(rng: Random, bases: Bases, home: Path) -> Case:
     isolate = ["--isolate"] if how in _ISOLATED or rng.random() < 0.03 else []
     more = rng.choice((["--json"], ["--json"], [], ["--out", OUT], ["--export", f"json:{OUT}/r.json"]))
     return Case(("run", "--data", data, *words, "--plugin", "in/odd.py", *isolate, *more), hangs=_HANGS)
-
-
-def benchmark(rng: Random, bases: Bases, home: Path) -> Case:
-    """Rows and bundles of `p2o benchmark`, and poses to score, with wrong values or bytes."""
-    board = bases.board
-    suite = ("--suite", str(board / "tiny.toml"), "--plugin", str(PLUGIN), "--quiet")
-    how = rng.randrange(3)
-    if how == 0:
-        path = home / "in/poses.csv"
-        data = (board / "poses.csv").read_bytes()
-        path.write_bytes(bytes_of(rng, data))
-        return Case(("benchmark", "score", "in/poses.csv", "--name", "them", "--results", f"{OUT}/results", *suite))
-    if how == 1:
-        shutil.copytree(board / "results", home / OUT / "results")
-        path = rng.choice(sorted(path for path in (home / OUT / "results").rglob("*") if path.is_file()))
-        path.write_bytes(_lines_of(rng, path.read_bytes()))
-        words = ("--results", f"{OUT}/results", "--plugin", str(PLUGIN))
-        named = ("benchmark", rng.choice(("table", "status")), str(board / "tiny.toml"))
-        return Case((*named, *words))
-    with zipfile.ZipFile(board / "tiny.zip") as archive:
-        members = {name: archive.read(name) for name in archive.namelist()}
-    name = rng.choice(sorted(members))
-    members[name] = _lines_of(rng, members[name])
-    with zipfile.ZipFile(home / "in/tiny.zip", "w", rng.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED))) as archive:
-        for member, content in members.items():
-            if member != name or rng.random() < 0.9:
-                archive.writestr(rng.choice((member,) * 9 + (f"../{member}", f"/{member}")), content)
-    if rng.random() < 0.3:
-        path = home / "in/tiny.zip"
-        path.write_bytes(bytes_of(rng, path.read_bytes()))
-    return Case(("benchmark", "verify", "in/tiny.zip", "--sample", "0", *suite))
-
-
-def _lines_of(rng: Random, data: bytes) -> bytes:
-    """Return lines of JSON of which one has wrong values, or wrong bytes."""
-    lines: Sequence[bytes] = data.splitlines()
-    if rng.random() < 0.3 or not lines:
-        return bytes_of(rng, data)
-    place = rng.randrange(len(lines))
-    try:
-        text = json.dumps(tree_of(rng, json.loads(lines[place])), default=str)
-    except ValueError:
-        return bytes_of(rng, data)
-    return b"\n".join([*lines[:place], text.encode("utf-8", "surrogatepass"), *lines[place + 1 :]]) + b"\n"

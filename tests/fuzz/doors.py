@@ -20,10 +20,7 @@ SURFACES: Mapping[str, tuple[int, Draw]] = {
     "calibration": (4, surfaces.calibration),
     "words": (16, surfaces.words),
     "study": (7, surfaces.study),
-    "store": (6, surfaces.store),
-    "cache": (3, surfaces.cache),
     "result": (4, surfaces.result),
-    "gate": (3, surfaces.gate),
     "weights": (1, surfaces.weights),
     "pairs": (3, surfaces.pairs),
     "bag-tables": (5, containers.bag_tables),
@@ -33,7 +30,6 @@ SURFACES: Mapping[str, tuple[int, Draw]] = {
     "xml": (4, containers.document),
     "las": (4, containers.las),
     "plugin": (6, containers.plugin),
-    "benchmark": (5, containers.benchmark),
 }
 """Every door by name: how often it is drawn, and how."""
 
@@ -43,8 +39,6 @@ def draw(rng: Random, bases: Bases, home: Path, names: Sequence[str]) -> tuple[s
     (home / "in").mkdir(parents=True)
     (home / OUT).mkdir()
     name = rng.choices(names, [SURFACES[name][0] for name in names])[0]
-    if name in ("store", "gate"):
-        (home / OUT).rmdir()
     if name == "layout":
         (home / "in").rmdir()
     return name, SURFACES[name][1](rng, bases, home)

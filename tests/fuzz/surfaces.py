@@ -7,10 +7,9 @@ import math
 import os
 import re
 import shutil
-import sqlite3
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -21,7 +20,7 @@ from p2o.cli import main
 
 from tests.fuzz import files
 from tests.fuzz.bases import RUN, Bases
-from tests.fuzz.mutate import NUMBERS, VALUES, WORDS, bytes_of, tree_of
+from tests.fuzz.mutate import NUMBERS, WORDS, bytes_of, tree_of
 
 OUT = "out"
 """What commands are given as --out; it lies in the folder of the case."""
@@ -31,13 +30,11 @@ OUT = "out"
 class Case:
     """A command of p2o, or a reader called in Python; `result` is a file of results that has to be right after it.
 
-    `same` maps a file of the case to what it has to hold afterwards, by a function that reads both. `hangs` is a file
-    that the case writes if it begins to hang; it is then interrupted as by Ctrl-C.
+    `hangs` is a file that the case writes if it begins to hang; it is then interrupted as by Ctrl-C.
     """
 
     argv: tuple[str, ...] = ()
     call: Callable[[], int] | None = None
-    same: Mapping[str, Callable[[Path], str]] = field(default_factory=dict)
     hangs: str = ""
 
     def __call__(self) -> int:
@@ -253,19 +250,12 @@ def _run_word(rng: Random) -> list[str]:
 
 _FLAG = {"matcher": "--matcher", "solver": "--solver", "initializer": "--init"}
 _STAGES: tuple[tuple[str, str, str | None], ...] = (
-    ("pipeline", "", None),
-    ("pipeline", "", None),
-    ("image", "image-extractor", "stereo"),
-    ("image", "image-extractor", "depth"),
-    ("image", "image-extractor", "p2ornet"),
+    *((("pipeline", "", None),) * 2),
+    *(("image", "image-extractor", name) for name in ("stereo", "depth", "p2ornet")),
     ("cloud", "cloud-extractor", "rings"),
     ("matcher", "matcher", "ogm"),
-    ("solver", "solver", "lm"),
-    ("solver", "solver", "scipy"),
-    ("solver", "solver", "nelder-mead"),
-    ("initializer", "initializer", "search"),
-    ("initializer", "initializer", "grid"),
-    ("initializer", "initializer", "far"),
+    *(("solver", "solver", name) for name in ("lm", "scipy", "nelder-mead")),
+    *(("initializer", "initializer", name) for name in ("search", "grid", "far")),
 )
 
 
@@ -332,36 +322,14 @@ def _seeds(rng: Random) -> str:
 
 
 def _frames(rng: Random) -> str:
-    good = (
-        "0",
-        "all",
-        "0-1",
-        ":1",
-        "scene-0000",
-        "-1",
-        "0,1,0",
-        "1-0",
-        "::0",
-        "0-99999999999",
-        ",",
-        "@in/scene/frame.yaml",
-    )
+    good = ["0", "all", "0-1", ":1", "scene-0000", "-1", "0,1,0", "1-0", "::0", "0-99999999999", ","]
+    good += ["@in/scene/frame.yaml"]
     return rng.choice((*good, _word(rng), f"{rng.choice(good)},{_word(rng)}"))
 
 
 def _data(rng: Random) -> str:
     small = "width_px=96&height_px=64&lidar=vlp-16"
-    good = (
-        "folder:in",
-        "folder:in/scene",
-        "kitti-raw:in",
-        "nosuch:in",
-        "in",
-        "folder",
-        ":",
-        "?",
-        f"synthetic:?{small}",
-    )
+    good = f"folder:in folder:in/scene kitti-raw:in nosuch:in in folder : ? synthetic:?{small}".split()
     odd = rng.choice((_word(rng), f"folder:{_word(rng)}", f"synthetic:?{_word(rng)}={_word(rng)}"))
     return rng.choice((*good, odd, odd, f"synthetic:?{small}&seed={_number(rng)}"))
 
@@ -386,40 +354,11 @@ def study(rng: Random, bases: Bases, home: Path) -> Case:
 
 
 _TOML = (
-    *(
-        "1",
-        "-1",
-        "0",
-        "1.5",
-        "inf",
-        "nan",
-        "9999999999999999999999",
-        '"text"',
-        '""',
-        "true",
-        "[]",
-        "{}",
-        "[1, 2]",
-        '["a"]',
-    ),
-    *(
-        "2011-09-26",
-        "12:30:00",
-        '"../../x"',
-        '"{matcher.__class__}"',
-        '"{matcher:>99999999}"',
-        '"{use!r}"',
-        '"\\u001b[31m"',
-    ),
-    *(
-        "[[[[[[[[1]]]]]]]]",
-        "{ a = { b = { c = 1 } } }",
-        '"""long\ntext"""',
-        "1000000",
-        "[0, 0]",
-        '"1e9m"',
-        '"180deg 5m"',
-    ),
+    *("1", "-1", "0", "1.5", "inf", "nan", "9999999999999999999999", "1000000", "true", "[]", "{}"),
+    *("2011-09-26", "12:30:00"),
+    *('"text"', '""', '"1e9m"', '"180deg 5m"', '"../../x"', '"""long\ntext"""', '"\\u001b[31m"'),
+    *('"{matcher.__class__}"', '"{matcher:>99999999}"', '"{use!r}"'),
+    *("[1, 2]", "[0, 0]", '["a"]', "[[[[[[[[1]]]]]]]]", "{ a = { b = { c = 1 } } }"),
 )
 
 
@@ -443,88 +382,6 @@ def _toml_of(rng: Random, text: str) -> str:
                 rng.choice(("matcher", "own", "ogm", "row", "e")), rng.choice(("x", "matchr", "")), 1
             )
     return "\n".join(lines)
-
-
-def store(rng: Random, bases: Bases, home: Path) -> Case:
-    """The store of a study: wrong bytes, or right SQL with wrong content."""
-    shutil.copytree(bases.study / "out", home / OUT)
-    path = home / OUT / "study.sqlite"
-    how = rng.random()
-    if how < 0.35:
-        path.write_bytes(bytes_of(rng, path.read_bytes()))
-    elif how < 0.4:
-        _swap(rng, path)
-    else:
-        _sql(rng, path)
-    shutil.copytree(bases.study / "cache", home / "cache", copy_function=os.link, dirs_exist_ok=True)
-    if rng.random() < 0.6:
-        return Case(("report", OUT, "--out", f"{OUT}/report"))
-    return Case(("ablate", str(bases.study / "study.toml"), "--out", OUT, "--jobs", "1"))
-
-
-def _sql(rng: Random, path: Path) -> None:
-    with sqlite3.connect(path) as base:
-        tables = [name for (name,) in base.execute("select name from sqlite_master where type = 'table'")]
-        for _ in range(rng.choice((1, 1, 2))):
-            table = rng.choice(tables)
-            columns = [row[1] for row in base.execute(f'pragma table_info("{table}")')]
-            if not columns:
-                continue
-            column = rng.choice(columns)
-            value: Any = rng.choice((*VALUES, b"\xff\x00", '{"a": 1}', "[1, 2]", '{"x": NaN}', "[" * 5000))
-            if isinstance(value, list | dict | bool):
-                value = json.dumps(value)
-            if isinstance(value, str):
-                value = value.encode("utf-8", "surrogatepass").decode("utf-8", "replace")
-            if isinstance(value, int) and abs(value) >= 2**63:
-                value = float(value)
-            change = rng.choice(
-                (
-                    f'update "{table}" set "{column}" = ?1',
-                    f'update "{table}" set "{column}" = ?1 where rowid = 1',
-                    f'delete from "{table}" where ?1 = ?1',
-                    f'alter table "{table}" rename column "{column}" to "other"',
-                    f'drop table "{table}"',
-                    'create view "extra" as select 1 as a',
-                    f'create trigger "t" after insert on "{table}" begin delete from "{table}"; end',
-                    f"pragma user_version = {rng.choice((0, 1, 99, 2**31 - 1))}",
-                )
-            )
-            try:
-                base.execute(change, (value,) if "?1" in change else ())
-            except sqlite3.Error:
-                continue
-            if "drop" in change or "rename" in change:
-                break
-    base.close()
-
-
-def cache(rng: Random, bases: Bases, home: Path) -> Case:
-    """A damaged cache of features: what comes out is the same to the last bit."""
-    shutil.copytree(bases.study / "cache", home / "cache", dirs_exist_ok=True)
-    kept = {path: path.read_bytes() for path in sorted((home / "cache").rglob("*.npz"))}
-    for path, data in kept.items():
-        how = rng.randrange(5)
-        if how == 0:
-            path.write_bytes(rng.choice(list(kept.values())))
-        elif how == 1:
-            _swap(rng, path)
-        elif how < 4:
-            path.write_bytes(bytes_of(rng, data))
-    expected = _estimates(bases.study / "out/study.sqlite")
-    return Case(
-        ("ablate", str(bases.study / "study.toml"), "--out", OUT, "--jobs", "1", "--quiet"),
-        same={
-            f"{OUT}/study.sqlite": lambda path: "" if _estimates(path) == expected else "other results than undisturbed"
-        },
-    )
-
-
-def _estimates(path: Path) -> list[Any]:
-    with sqlite3.connect(f"file:{path}?mode=ro", uri=True) as base:
-        rows = base.execute("select key, status, estimate, start from runs order by key").fetchall()
-    base.close()
-    return rows
 
 
 def result(rng: Random, bases: Bases, home: Path) -> Case:
@@ -553,33 +410,6 @@ def result(rng: Random, bases: Bases, home: Path) -> Case:
     return Case(call=call)
 
 
-def gate(rng: Random, bases: Bases, home: Path) -> Case:
-    """The reference of a gate, or a file of splits."""
-    shutil.copytree(bases.study / "out", home / OUT)
-    shutil.copytree(bases.study / "cache", home / "cache", copy_function=os.link, dirs_exist_ok=True)
-    if rng.random() < 0.7:
-        path = home / "in/reference.json"
-        tree: Any = json.loads((bases.study / "reference.json").read_text(encoding="utf-8"))
-        argv = ["ablate", str(bases.study / "study.toml"), "--out", OUT, "--jobs", "1", "--gate", "in/reference.json"]
-        argv += ["--update"] if rng.random() < 0.2 else []
-        if "--update" in argv:
-            argv[argv.index("--gate") + 1] = f"{OUT}/reference.json"
-            path = home / OUT / "reference.json"
-    else:
-        path = home / "in/splits.json"
-        tree = {"test": ["scene-0000", "scene-0001"], "train": ["scene-0001"]}
-        argv = [
-            "data",
-            "list",
-            f"folder:{bases.folder}",
-            "--frames",
-            rng.choice(("@in/splits.json#test", "@in/splits.json")),
-        ]
-    text = json.dumps(tree_of(rng, tree) if rng.random() < 0.6 else tree).encode("utf-8", "surrogatepass")
-    path.write_bytes(bytes_of(rng, text) if rng.random() < 0.5 else text)
-    return Case(tuple(argv))
-
-
 def weights(rng: Random, bases: Bases, home: Path) -> Case:
     """A file of weights: safetensors with wrong headers, shapes or bytes."""
     from p2o_plugins.p2ornet.shipped import path_of
@@ -595,18 +425,8 @@ def weights(rng: Random, bases: Bases, home: Path) -> Case:
         data = bytes_of(rng, data[: 8 + size]) + data[8 + size :]
     (home / "in/weights.safetensors").write_bytes(data)
     _frame(bases, home)
-    return Case(
-        (
-            "run",
-            "--data",
-            "folder:in",
-            *RUN,
-            "--extractor",
-            "p2ornet/rings",
-            "--set",
-            "image.weights=in/weights.safetensors",
-        )
-    )
+    words = ("--extractor", "p2ornet/rings", "--set", "image.weights=in/weights.safetensors")
+    return Case(("run", "--data", "folder:in", *RUN, *words))
 
 
 def pairs(rng: Random, bases: Bases, home: Path) -> Case:

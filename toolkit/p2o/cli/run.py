@@ -213,24 +213,18 @@ def command(
 
 
 def _plan(words: Mapping[str, Any], settings: Sequence[str], registry: Registry) -> Plan:
-    """Return the plan of the words that are given on the command line, with a preset and the options in `settings`."""
+    """Return the plan of the words that are given on the command line, and of the options in `settings`."""
     from p2o.geometry.perturb import parse_accuracy
-    from p2o.run.initial_guess import starts_of
-    from p2o.run.presets import preset_of
-    from p2o.run.recipe import Recipe
+    from p2o.run.run import planned
     from p2o.run.words import parse_settings
 
     given = {name: value for name, value in words.items() if value is not None}
-    if (protocol := given.pop("protocol", None)) is not None:
-        given["perturb"] = starts_of(protocol, given.get("perturb"), "--protocol")
     if (sigma := given.pop("start_sigma", None)) is not None:
         known = parse_accuracy(sigma, "--start-sigma")
         settings = (*settings, f"pipeline.start_sigma=[{known.angle_deg}, {known.distance_m}]")
     if settings:
         given["options"] = parse_settings(settings)
-    if (method := given.pop("method", None)) is not None:
-        given = preset_of(method, registry).merged(given)
-    return Recipe.of(**given).resolve(registry)
+    return planned(given, registry, "--protocol")
 
 
 @dataclass

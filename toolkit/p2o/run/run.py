@@ -21,6 +21,7 @@ from p2o.results.result import Result, RigResult, Status
 from p2o.run.assembly import Assembly
 from p2o.run.initial_guess import common_pose, given_guess, listed_errors, one_camera, start_of, starts_of
 from p2o.run.outcome import FailedFrame, Row, Run
+from p2o.run.presets import preset_of
 from p2o.run.protocol import protocol_of
 from p2o.run.read_again import MAX_FRAMES_IN_MEMORY, ReadAgain, frame_infos, without_truth
 from p2o.run.recipe import Plan, Recipe
@@ -99,14 +100,26 @@ def calibrate(
         raise InputError("there are no data", expected="DATASET:PATH, a dataset or frames", got=None)
     words: dict[str, Any] = {"data": data, "frames": frames, "extractor": extractor, "matcher": matcher}
     words |= {"solver": solver, "init": init, "calibrator": calibrator, "seed": seed, "joint": joint}
-    words |= {"accumulate": accumulate, "witness": witness, "perturb": starts_of(protocol, perturb)}
+    words |= {"accumulate": accumulate, "witness": witness, "perturb": perturb, "protocol": protocol}
     words["options"] = None if options is None else parse_settings(options)
     words["start"] = start if isinstance(start, str) else None
     words["rig"] = str(rig) if isinstance(rig, Path) else dict(rig) if isinstance(rig, Mapping) else rig
-    recipe = Recipe.of(**words)
-    plan = recipe.resolve(Registry.load() if registry is None else registry)
+    plan = planned(words, Registry.load() if registry is None else registry)
     done = run(plan, given, start=None if isinstance(start, str) else start, on_progress=on_progress)
     return done if protocol is None else replace(done, protocol=protocol_of(protocol))
+
+
+def planned(words: Mapping[str, Any], registry: Registry, where: str = "protocol") -> Plan:
+    """Return the plan of words of a recipe, without those that are None, and of the words `method` and `protocol`.
+
+    `method` names a preset (`p2o.run.presets`), `protocol` that of a publication, named `where` in errors.
+    """
+    given = {name: value for name, value in words.items() if value is not None or name == "data"}
+    if (protocol := given.pop("protocol", None)) is not None:
+        given["perturb"] = starts_of(protocol, given.get("perturb"), where)
+    if (method := given.pop("method", None)) is not None:
+        given = preset_of(method, registry).merged(given)
+    return Recipe.of(**given).resolve(registry)
 
 
 def run(
@@ -168,7 +181,7 @@ class _Group:
 
 
 def _groups(plan: Plan, dataset: Frames, start: Float | None, remarks: tuple[str, ...]) -> list[_Group]:
-    """Return the chosen frames by camera of a rig, all of a joint calibration, or each by itself."""
+    """Return the chosen frames by camera of a rig, all of a joint calibration, or each separately."""
     names, indices = selected(dataset, plan.recipe.frames)
     # Sums of floating-point numbers depend on the order of the views: the order of --frames must not matter.
     if plan.rig is not None:
