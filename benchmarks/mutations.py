@@ -180,7 +180,7 @@ MUTATIONS = (
         "if not given and not open_yet:", "if not given and not open_yet and giver.kind == Kind.DATASET:",
     ),
     Mutation(
-        "failed-frames", "run", "dropped guard", f"{_T}/run/run.py",
+        "failed-frames", "run", "dropped guard", f"{_T}/run/outcome.py",
         "return bool(self.rows) and not self.failed and common and", "return bool(self.rows) and common and",
     ),
     Mutation(
