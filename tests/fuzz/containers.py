@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import shutil
 import sqlite3
@@ -16,15 +15,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from tests.fuzz.bases import RUN, Bases
-from tests.fuzz.mutate import NUMBERS, VALUES, WORDS, bytes_of, tree_of
-from tests.fuzz.surfaces import OUT, Case, read_or_run
-
-
-def _bag_case(rng: Random, name: str) -> Case:
-    if rng.random() < 0.3:
-        return Case(("data", "topics", name, *rng.choice(((), ("--json",)))))
-    return Case(("data", "check", f"ros:{name}", *rng.choice(((), ("--set", "data.tf=truth")))))
-
+from tests.fuzz.mutate import NUMBERS, VALUES, WORDS, bytes_of
+from tests.fuzz.surfaces import OUT, Case, bag_case, calibrations, frame_of, read_or_run, said_in
 
 _SCHEMA = (
     "drop table {t}",
@@ -58,7 +50,7 @@ def bag_tables(rng: Random, bases: Bases, home: Path) -> Case:
                 else:
                     _spoil_cell(rng, connection, table, rng.choice(columns))
         connection.commit()
-    return _bag_case(rng, "in/drive.db3")
+    return bag_case(rng, "in/drive.db3")
 
 
 def _spoil_cell(rng: Random, connection: sqlite3.Connection, table: str, column: str) -> None:
@@ -100,7 +92,7 @@ def mcap_records(rng: Random, bases: Bases, home: Path) -> Case:
         length = len(content) if rng.random() < 0.97 else rng.choice((0, 2**31, 2**63, 2**64 - 1, len(content) + 1))
         spoilt += struct.pack("<BQ", operation, length) + content
     (home / "in/drive.mcap").write_bytes(spoilt + magic)
-    return _bag_case(rng, "in/drive.mcap")
+    return bag_case(rng, "in/drive.mcap")
 
 
 def columns(rng: Random, bases: Bases, home: Path) -> Case:
@@ -146,29 +138,9 @@ def columns(rng: Random, bases: Bases, home: Path) -> Case:
     return read_or_run(rng, f"{name}:in/data")
 
 
-def tables(rng: Random, bases: Bases, home: Path) -> Case:
-    """A JSON file of nuScenes, PandaSet, ONCE or Waymo with wrong values."""
-    name = rng.choice(("nuscenes", "nuscenes", "pandaset", "once"))
-    root = home / "in/data"
-    shutil.copytree(bases.layouts[name], root, copy_function=os.link)
-    for path in rng.sample(found := sorted(root.rglob("*.json")), min(len(found), rng.choice((1, 1, 2)))):
-        tree = tree_of(rng, json.loads(path.read_text(encoding="utf-8")))
-        path.unlink()
-        path.write_text(json.dumps(tree, default=str), encoding="utf-8", errors="surrogatepass")
-    return read_or_run(rng, f"{name}:in/data")
-
-
 def document(rng: Random, bases: Bases, home: Path) -> Case:
     """A URDF or another file of XML with other elements and attributes, or entities."""
-    from p2o import Camera
-    from p2o.calibration_files.calibration import Calibration
-    from p2o_formats.formats import FORMATS
-
-    forms = [form for form in FORMATS.values() if form.write is not None]
-    camera = Camera("OPENCV", 160, 96, (92.0, 93.0, 80.0, 48.0, 0.1, 0.01, 0.0, 0.001))
-    pose = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
-    texts = [form.written(Calibration(camera, pose)) for form in forms]
-    documents = [text for text in texts if text.lstrip().startswith(b"<")] + [_URDF]
+    documents = [text for text in calibrations().values() if text.lstrip().startswith(b"<")] + [_URDF]
     root = ElementTree.fromstring(rng.choice(documents))
     for _ in range(rng.choice((1, 1, 2, 3))):
         element = rng.choice(list(root.iter()))
@@ -236,12 +208,10 @@ def las(rng: Random, bases: Bases, home: Path) -> Case:
             rng.choice((float("nan"), 1e300, 0.0)) if form == "d" else rng.choice((0, 1, 2**size - 1, 2 ** (size - 1)))
         )
         struct.pack_into(f"<{form}", data, place, value)
-    frame = home / "in/scene"
-    shutil.copytree(bases.folder / "scene-0000", frame, ignore=lambda *_: ("cloud.npz",))
+    frame = frame_of(bases, home, without=("cloud.npz",))
     name = f"cloud{'.laz' if packed else '.las'}"
     (frame / name).write_bytes(bytes_of(rng, bytes(data)) if 0.3 < how < 0.85 else bytes(data))
-    text = (frame / "frame.yaml").read_text(encoding="utf-8").replace("cloud.npz", name)
-    (frame / "frame.yaml").write_text(text, encoding="utf-8")
+    said_in(frame, cloud=name)
     return read_or_run(rng, "folder:in")
 
 

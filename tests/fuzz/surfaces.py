@@ -50,12 +50,12 @@ Draw = Callable[[Random, Bases, Path], Case]
 
 def sweep(rng: Random, bases: Bases, home: Path) -> Case:
     """A sweep of any format, odd or damaged."""
-    frame = _frame(bases, home, without=("cloud.npz",))
+    frame = frame_of(bases, home, without=("cloud.npz",))
     suffix = rng.choice(files.CLOUDS)
     data = files.cloud(rng, suffix)
     name = f"cloud{suffix}"
     (frame / name).write_bytes(bytes_of(rng, data) if rng.random() < 0.6 else data)
-    _said(frame, cloud=name, **({"twist": None} if rng.random() < 0.7 else {}))
+    said_in(frame, cloud=name, **({"twist": None} if rng.random() < 0.7 else {}))
     if rng.random() < 0.05:
         _swap(rng, frame / name)
     return read_or_run(rng, "folder:in")
@@ -63,7 +63,7 @@ def sweep(rng: Random, bases: Bases, home: Path) -> Case:
 
 def picture(rng: Random, bases: Bases, home: Path) -> Case:
     """An image, a right image or a depth, odd or damaged."""
-    frame = _frame(bases, home)
+    frame = frame_of(bases, home)
     what = rng.choice(("image", "image", "right", "depth"))
     if what == "depth":
         name = rng.choice(("depth.npy", "depth.png"))
@@ -79,7 +79,7 @@ def picture(rng: Random, bases: Bases, home: Path) -> Case:
         data = files.image(rng, suffix) if rng.random() < 0.8 else (frame / f"{what}.png").read_bytes()
         (frame / f"{what}.png").unlink()
     (frame / name).write_bytes(bytes_of(rng, data) if rng.random() < 0.5 else data)
-    _said(frame, **{what: name})
+    said_in(frame, **{what: name})
     if rng.random() < 0.05:
         _swap(rng, frame / name)
     return read_or_run(rng, "folder:in")
@@ -87,7 +87,7 @@ def picture(rng: Random, bases: Bases, home: Path) -> Case:
 
 def frame_file(rng: Random, bases: Bases, home: Path) -> Case:
     """A frame.yaml of wrong values, or wrong bytes."""
-    frame = _frame(bases, home)
+    frame = frame_of(bases, home)
     path = frame / "frame.yaml"
     said = yaml.safe_load(path.read_text(encoding="utf-8"))
     said |= rng.choice(_FORMS)
@@ -103,7 +103,7 @@ def frame_file(rng: Random, bases: Bases, home: Path) -> Case:
 
 def rig(rng: Random, bases: Bases, home: Path) -> Case:
     """A rig file of wrong values, or wrong bytes."""
-    _frame(bases, home)
+    frame_of(bases, home)
     said = tree_of(rng, rng.choice(_RIGS)) if rng.random() < 0.8 else rng.choice(_RIGS)
     name = rng.choice(("rig.yaml", "rig.json"))
     try:
@@ -158,7 +158,7 @@ def layout(rng: Random, bases: Bases, home: Path) -> Case:
         if rng.random() < 0.7:
             data = path.read_bytes()
             path.unlink()
-            path.write_bytes(bytes_of(rng, data))
+            path.write_bytes(_spoilt(rng, path.suffix, data))
         else:
             path = rng.choice((path, path, path.parent))
             if path != root:
@@ -170,6 +170,13 @@ def layout(rng: Random, bases: Bases, home: Path) -> Case:
     return read_or_run(rng, f"{name}:in")
 
 
+def _spoilt(rng: Random, suffix: str, data: bytes) -> bytes:
+    """Return a file with wrong bytes, or a table of JSON with wrong values."""
+    if suffix != ".json" or rng.random() < 0.3:
+        return bytes_of(rng, data)
+    return json.dumps(tree_of(rng, json.loads(data)), default=str).encode("utf-8", "surrogatepass")
+
+
 def bag(rng: Random, bases: Bases, home: Path) -> Case:
     """A bag of any container with bytes that are damaged."""
     base = rng.choice(bases.bags)
@@ -177,6 +184,11 @@ def bag(rng: Random, bases: Bases, home: Path) -> Case:
     (home / name).write_bytes(bytes_of(rng, base.read_bytes()))
     if rng.random() < 0.05:
         _swap(rng, home / name)
+    return bag_case(rng, name)
+
+
+def bag_case(rng: Random, name: str) -> Case:
+    """Return a command that reads a bag."""
     if rng.random() < 0.3:
         return Case(("data", "topics", name, *rng.choice(((), ("--json",)))))
     options = rng.choice(((), ("--set", "data.every_m=0.5"), ("--set", "data.tf=truth")))
@@ -185,7 +197,7 @@ def bag(rng: Random, bases: Bases, home: Path) -> Case:
 
 def words(rng: Random, bases: Bases, home: Path) -> Case:
     """The words of the command line."""
-    _frame(bases, home)
+    frame_of(bases, home)
     (home / OUT / "file").touch()
     command = rng.choice(("run",) * 6 + ("data", "methods", "plugin", "simulate", "labels", "report"))
     argv = [command]
@@ -424,7 +436,7 @@ def weights(rng: Random, bases: Bases, home: Path) -> Case:
     else:
         data = bytes_of(rng, data[: 8 + size]) + data[8 + size :]
     (home / "in/weights.safetensors").write_bytes(data)
-    _frame(bases, home)
+    frame_of(bases, home)
     words = ("--extractor", "p2ornet/rings", "--set", "image.weights=in/weights.safetensors")
     return Case(("run", "--data", "folder:in", *RUN, *words))
 
@@ -448,16 +460,22 @@ def pairs(rng: Random, bases: Bases, home: Path) -> Case:
     return Case((*argv, "--set", f"calibrator.pairs=in/pairs{suffix}"))
 
 
-def calibration(rng: Random, bases: Bases, home: Path) -> Case:
-    """A calibration file of any form, with wrong bytes or values, converted to any other."""
+def calibrations() -> dict[Any, bytes]:
+    """Return a calibration file of every form that can be written."""
     from p2o import Camera
     from p2o.calibration_files.calibration import Calibration
-    from p2o_formats.formats import FORMATS
+    from p2o_formats.formats import WRITTEN
 
-    written = {name: form for name, form in FORMATS.items() if form.write is not None}
-    name, form = rng.choice(list(written.items()))
     camera = Camera("OPENCV", 160, 96, (92.0, 93.0, 80.0, 48.0, 0.1, 0.01, 0.0, 0.001))
-    data = form.written(Calibration(camera, np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])))
+    pose = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+    return {form: form.written(Calibration(camera, pose)) for form in WRITTEN.values()}
+
+
+def calibration(rng: Random, bases: Bases, home: Path) -> Case:
+    """A calibration file of any form, with wrong bytes or values, converted to any other."""
+    written = calibrations()
+    form, data = rng.choice(list(written.items()))
+    name = form.name
     tree = None
     if form.suffix in (".json", ".yaml") and name != "opencv" and rng.random() < 0.6:
         tree = tree_of(rng, yaml.safe_load(data))
@@ -475,7 +493,7 @@ def calibration(rng: Random, bases: Bases, home: Path) -> Case:
     said = rng.choice(
         ("", "", "", "#cam0", "#P2", "?width=640&height=480", f"?camera_frame={_word(rng)}", f"#{_word(rng)}")
     )
-    to = rng.choice((*written, f"ros2?camera_frame={_word(rng)}", "ros2?form=urdf", _word(rng)))
+    to = rng.choice((*(form.name for form in written), f"ros2?camera_frame={_word(rng)}", "ros2?form=urdf", _word(rng)))
     return Case(("convert", f"in/{path.name}{said}", f"{OUT}/calibration", "--to", to))
 
 
@@ -492,13 +510,13 @@ _RIGS: tuple[dict[str, Any], ...] = (
 )
 
 
-def _frame(bases: Bases, home: Path, without: Sequence[str] = ()) -> Path:
+def frame_of(bases: Bases, home: Path, without: Sequence[str] = ()) -> Path:
     frame = home / "in/scene"
     shutil.copytree(bases.folder / "scene-0000", frame, ignore=lambda *_: without)
     return frame
 
 
-def _said(frame: Path, **values: Any) -> None:
+def said_in(frame: Path, **values: Any) -> None:
     """Change what frame.yaml says; None takes a key away."""
     path = frame / "frame.yaml"
     said = {**yaml.safe_load(path.read_text(encoding="utf-8")), **values}
