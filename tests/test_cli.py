@@ -48,18 +48,7 @@ def in_a_shell(*words: str, **environment: str) -> subprocess.CompletedProcess[s
 # ---- what it costs to ask
 
 
-HEAVY = (
-    "torch",
-    "cv2",
-    "kornia",
-    "pycolmap",
-    "pyceres",
-    "scipy",
-    "numpy",
-    "matplotlib",
-    "pydantic",
-    "pluggy",
-)
+HEAVY = ("torch", "cv2", "kornia", "pycolmap", "pyceres", "scipy", "numpy", "matplotlib", "pydantic", "pluggy")
 
 
 def test_help_imports_nothing_heavy() -> None:
@@ -418,19 +407,13 @@ DIGITS = 5000 * "9"
     [
         (["run", "--matcher", "ogmm"], "unknown matcher 'ogmm'; expected one of: crlf, gmm,"),
         (["run", "--extractor", "canny/rings"], "canny gives no side; ogm needs it; try --matcher knn-line or nearest"),
-        (
-            ["run", "--set", "matcher.neighbours=0"],
-            "matcher.neighbours is out of bounds; expected greater",
-        ),
+        (["run", "--set", "matcher.neighbours=0"], "matcher.neighbours is out of bounds; expected greater"),
         (["run", "--perturb", "2 degrees"], "--perturb: cannot read the size"),
         (["run", "--require", "trust"], "--require: cannot read the size"),
         (["run", "--require", "trusted 0.3deg"], '--require: the accuracy needs two parts; expected "trusted", or'),
         (["run", "--require", "2 degrees"], "--require: cannot read the size"),
         (["run", "--require", "0.3deg"], "--require: the accuracy needs two parts"),
-        (
-            ["run", "--start-sigma", "2 apples"],
-            "--start-sigma: cannot read the size; expected an angle and a length",
-        ),
+        (["run", "--start-sigma", "2 apples"], "--start-sigma: cannot read the size; expected an angle and a length"),
         (["run", "--perturb", "1deg 101m"], "--perturb: the size is out of bounds; expected 0..180 deg and 0..100 m"),
         (["run", "--perturb", "1e999deg"], "--perturb: the size is out of bounds"),
         (["run", "--require", "1deg 1e300m"], "--require: the size is out of bounds"),
@@ -475,10 +458,7 @@ DIGITS = 5000 * "9"
         (["run", "--frames", "7"], "--frames: frame index 7 is out of range; expected 0 to 0"),
         (["run", "--frames", "@absent.json#test"], "absent.json: the file of splits is missing"),
         (["run", "--data", "kitti-raw:/no/such/folder"], "/no/such/folder"),
-        (
-            ["run", "--data", "/no/such/folder"],
-            "/no/such/folder: no such file or folder; expected DATASET:PATH",
-        ),
+        (["run", "--data", "/no/such/folder"], "/no/such/folder: no such file or folder; expected DATASET:PATH"),
         (["run", "a:", "--data", "b:"], "the data are given twice, as DATA and as --data"),
         (["check", "--extrinsic", "truth"], "Missing argument '[DATASET:]PATH'"),
         (["run", "--matcher", "koo"], "koo is a method of another kind, calibrator: --calibrator koo"),

@@ -13,16 +13,7 @@ import p2o
 import pytest
 from p2o import Kind, Method, UnknownNameError
 from p2o.solving import Objective
-from p2o_testing import (
-    CHECKS,
-    Case,
-    CheckFailed,
-    NotApplicable,
-    checks_for,
-    conformance_cases,
-    reads_files,
-    stage,
-)
+from p2o_testing import CHECKS, Case, CheckFailed, NotApplicable, checks_for, conformance_cases, reads_files, stage
 
 from tests.broken_methods import BROKEN, REGISTRY
 from tests.rendered_frames import all_rendered

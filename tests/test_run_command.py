@@ -105,11 +105,7 @@ def test_a_bad_frame_is_a_row_with_its_reason_and_the_others_are_calibrated(
     assert main(spy("fake:?frames=3&bad=1", "--out", str(tmp_path / "out"))) == 2
     captured = capsys.readouterr()
     lines = [line for line in captured.out.splitlines() if line.startswith(("drive/", "  predicted", "  failed"))]
-    assert lines[1:4] == [
-        "  predicted unknown",
-        "drive/0001",
-        "  failed    a.png: the image is cut short",
-    ]
+    assert lines[1:4] == ["  predicted unknown", "drive/0001", "  failed    a.png: the image is cut short"]
     assert lines[4] == "drive/0002"
     assert "2 calibrations: 2 solved\n  1 frames failed" in captured.out
     assert captured.err.splitlines()[-1] == (
@@ -154,17 +150,10 @@ def test_a_joint_calibration_needs_every_frame_and_says_which_is_bad(capsys: pyt
 
 @pytest.mark.parametrize(
     ("output", "file"),
-    [
-        (["--export", "json:{tmp}/{{frame}}.json"], "drive_0001.json"),
-        (["--out", "{tmp}"], "drive_0001/result.json"),
-    ],
+    [(["--export", "json:{tmp}/{{frame}}.json"], "drive_0001.json"), (["--out", "{tmp}"], "drive_0001/result.json")],
 )
 def test_a_disk_that_fills_up_takes_no_finished_result_away(
-    output: list[str],
-    file: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    output: list[str], file: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     real = Path.write_bytes
 

@@ -312,12 +312,7 @@ class _Field:
         return out
 
     def fit(
-        self,
-        start: _State,
-        precision: Float | None = None,
-        *,
-        count: int | None = None,
-        iterations: int = _ITERATIONS,
+        self, start: _State, precision: Float | None = None, *, count: int | None = None, iterations: int = _ITERATIONS
     ) -> _State:
         """Return the state of the smallest mean distance near another one.
 

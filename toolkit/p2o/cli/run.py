@@ -10,12 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from p2o.cli.completion import (
-    complete_exports,
-    complete_extractors,
-    complete_methods,
-    complete_protocols,
-)
+from p2o.cli.completion import complete_exports, complete_extractors, complete_methods, complete_protocols
 from p2o.cli.json_output import json_option, print_json
 from p2o.cli.plugin_options import (
     data_argument,
