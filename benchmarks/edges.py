@@ -40,8 +40,10 @@ from p2o.arrays import Bool, Float
 from p2o.frames.selection import select
 from p2o.host.method import Kind
 from p2o.host.registry import Registry
+from p2o.options import validated
 from p2o.problems.agreement import agreement
-from p2o.run.recipe import Part, open_dataset, parse_settings, split_data, validated
+from p2o.run.recipe import Part, open_dataset
+from p2o.run.words import parse_settings, split_data
 from p2o_sim import synthetic
 from reliability import Reliability, draw_reliability, reliability
 

@@ -24,7 +24,8 @@ import p2o
 from p2o.frames.frame import Frame
 from p2o.frames.selection import select
 from p2o.host.registry import Registry
-from p2o.run.recipe import Recipe, parse_settings
+from p2o.run.recipe import Recipe
+from p2o.run.words import parse_settings
 
 _DWELL = "scenes=3&sweep_s=2&speed_m_s=0&right=false&seed=43"
 _SETS = {

@@ -18,7 +18,8 @@ from p2o.frames.selection import select
 from p2o.geometry.perturb import wrong_start
 from p2o.geometry.pose_error import PoseError, pose_error
 from p2o.host.registry import Registry
-from p2o.run.recipe import Recipe, parse_settings
+from p2o.run.recipe import Recipe
+from p2o.run.words import parse_settings
 
 
 def main() -> None:

@@ -13,7 +13,8 @@ from p2o import Frame, InputError, Kind, Method, PluginError, Recipe, Registry, 
 from p2o.host import calibration_file
 from p2o.run.isolated import isolated
 from p2o.run.outcome import Run
-from p2o.run.recipe import open_exporter, parse_settings, split_data
+from p2o.run.recipe import open_exporter
+from p2o.run.words import parse_settings, split_data
 from p2o_formats import hooks as formats
 from p2o_testing import stage
 

@@ -15,16 +15,12 @@ from p2o.geometry.rough_start import is_rough_start
 from p2o.host.method import Kind, Method
 from p2o.host.registry import Offer, Registry, watch
 from p2o.host.slots import KIND_OF, STAGED_WORDS, STAGES, WIDE, WITNESS, WITNESS_STAGES
-from p2o.options import Options
-from p2o.options import validated as validated
+from p2o.options import Options, validated
 from p2o.run.fit import FRAME_CONTENT, check_fit, misfit_of, suggest_alternative
 from p2o.run.part import Part as Part
 from p2o.run.part import part_of
 from p2o.run.rig import Rig
-from p2o.run.words import parse_settings as parse_settings
-from p2o.run.words import split_data as split_data
-from p2o.run.words import split_name
-from p2o.run.words import value_of as value_of
+from p2o.run.words import split_data, split_name
 
 if TYPE_CHECKING:
     from p2o.frames.frame import Frame
