@@ -100,11 +100,7 @@ broken("no help", Kind.EXPORTER, export, "every_option_is_described", options=Ba
 broken("options that grow", Kind.EXPORTER, export, "options_survive_json", options=Growing)
 broken("a connection", Kind.EXPORTER, export, "builds_twice_offline", build=phones_home)
 broken(
-    "an example of files",
-    Kind.EXPORTER,
-    export,
-    "the_example_needs_no_files",
-    example=p2o.Example("folder:/nowhere"),
+    "an example of files", Kind.EXPORTER, export, "the_example_needs_no_files", example=p2o.Example("folder:/nowhere")
 )
 
 
@@ -188,11 +184,7 @@ marks_method("marks that cannot be kept", kinds.SecretMarks, "features_survive_t
 marks_method("marks that come twice", kinds.TwiceMarks, "selected_features_are_some_of_them")
 marks_method("marks that hide", kinds.ShyMarks, "forgetting_sides_keeps_every_feature")
 broken(
-    "one point is too few",
-    Kind.CLOUD_EXTRACTOR,
-    needs_two_points,
-    "a_single_point_is_no_crash",
-    gives={"cloud-marks"},
+    "one point is too few", Kind.CLOUD_EXTRACTOR, needs_two_points, "a_single_point_is_no_crash", gives={"cloud-marks"}
 )
 
 
@@ -655,6 +647,7 @@ dataset(
     "poses_belong_to_a_sequence",
 )
 dataset("frames that change", Changing, drive(), "frames_are_read_alike_again")
+dataset("any folder", Frames, drive(), "other_folders_are_not_recognised", recognises=lambda path: True)
 dataset("no counting from the end", Forward, drive(), "datasets_are_sequences")
 dataset("what is not held", Frames, [stage.frame()], "frames_hold_what_is_given", gives={"rings", "twist"})
 dataset("time runs back", Frames, drive()[::-1], "times_do_not_fall_in_a_sequence")

@@ -50,10 +50,8 @@ SYSTEM = {
     "tests/test_rig_solve.py",
     "tests/test_ros_bag_page.py",
     "tests/test_run_page.py",
-    "tests/test_staged_families.py",
     "tests/test_tutorials.py",
     "tests/test_view_page.py",
-    "tests/test_whole_families.py",
 }
 """Files of system tests: fuzzing, killed processes, browsers, lines of the docs, distributions, long studies."""
 
@@ -73,6 +71,13 @@ def _numpy_error_state() -> Iterator[None]:
     yield
     after = np.seterr(**before)
     assert after == before
+
+
+@pytest.fixture
+def plain_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Remove the variables that choose plugins and weights, or let errors of plugins raise."""
+    for name in ("P2O_PLUGINS", "P2O_DEBUG", "P2O_STRICT", "P2O_WEIGHTS"):
+        monkeypatch.delenv(name, raising=False)
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -32,7 +32,7 @@ PACKAGES = {
 }
 ORDINARY = ("p2o_plugins", "p2o_datasets", "p2o_formats", "p2o_sim", "p2o_baselines", "p2o_example")
 """Packages that use the author API of p2o only, as every installed plugin does."""
-BESIDE = {"p2o_datasets": {"p2o_formats"}, "p2o_pages": {"p2o_formats"}, "p2o_fleet": {"p2o_study"}}
+BESIDE = {"p2o_datasets": {"p2o_formats"}, "p2o_fleet": {"p2o_study"}}
 """Packages that a package may import besides itself and p2o."""
 
 FLOORS = (

@@ -15,7 +15,6 @@ from p2o.cli import main
 from p2o.cli.check import describe_check, percent
 from p2o.frames.direction import Direction, pose_direction
 from p2o.results.check import CheckStatus
-from p2o.results.result_json import check_from_dict, check_to_dict, watch_from_dict
 
 DATA = "synthetic:?right=false&scenes=1&frames_per_scene=2&period_s=1.5&seed=3&width_px=800&height_px=300"
 
@@ -49,11 +48,11 @@ def written(folder: Path, content: object) -> str:
 
 def test_the_truth_of_a_simulated_scene_holds(capsys: pytest.CaptureFixture[str]) -> None:
     status = main(["check", DATA, "--extrinsic", "truth", "--json"])
-    found = check_from_dict(json.loads(capsys.readouterr().out))
-    assert found.holding is not CheckStatus.OFF
+    check = json.loads(capsys.readouterr().out)
+    assert check["holding"] != CheckStatus.OFF
     assert status == 0
-    assert len(found.frames) == 2
-    assert found.recipe["data"] == DATA
+    assert len(check["frames"]) == 2
+    assert check["recipe"]["data"] == DATA
 
 
 def test_an_extrinsic_in_a_file_that_slipped_is_off(
@@ -112,7 +111,6 @@ def test_python_says_the_same_of_frames(frames: list[p2o.Frame], truth: np.ndarr
     assert [axis.axis for axis in found.axes] == ["roll", "pitch", "yaw", "x", "y", "z"]
     words = f"a correct extrinsic deviates this much or more with a probability of {percent(found.p_value)} %;"
     assert words in describe_check(found)
-    assert check_to_dict(check_from_dict(check_to_dict(found))) == check_to_dict(found)
 
 
 @pytest.mark.parametrize("look", [p2o.check, lambda *given: p2o.watch(*given, settle=1)], ids=["check", "watch"])
@@ -124,23 +122,6 @@ def test_an_inverse_is_refused_however_the_warning_is_worded(
     monkeypatch.setattr(Direction, "warnings", lambda *_: ("reworded",))
     with pytest.raises(p2o.InputError, match="the extrinsic looks like lidar_from_camera"):
         look(frames, inverse)
-
-
-def test_a_warning_that_reads_like_an_inverse_refuses_nothing(
-    frames: list[p2o.Frame], truth: np.ndarray, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    aside = se3.exp(np.array([0.0, 0.0, 0.0, 0.5, 0.5, 0.5])) @ truth
-    monkeypatch.setattr(Direction, "warnings", lambda *_: ("it may be lidar_from_camera",))
-    assert p2o.check(frames, aside).warnings[0] == "it may be lidar_from_camera"
-
-
-def test_the_inverse_of_an_extrinsic_is_refused(
-    truth: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["check", DATA, "--extrinsic", written(tmp_path, se3.inverse(truth).tolist())]) == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1
-    assert "lidar_from_camera" in said
 
 
 @pytest.mark.parametrize(
@@ -175,8 +156,7 @@ def test_a_drive_that_does_not_slip_is_watched_frame_after_frame(capsys: pytest.
     drive = DATA.replace("frames_per_scene=2&period_s=1.5", "frames_per_scene=5")
     words = ["check", drive, "--extrinsic", "truth", "--watch", "--settle", "2", "--rate", "20"]
     assert main([*words, "--json"]) == 0
-    found = watch_from_dict(json.loads(capsys.readouterr().out))
-    assert [frame.name for frame in found.frames] == [f"scene-0000/{number:04d}" for number in range(5)]
-    assert [frame.level is None for frame in found.frames] == [True, True, False, False, False]
-    assert (found.rate_hz, found.slips) == (20.0, ())
-    assert check_to_dict(watch_from_dict(check_to_dict(found))) == check_to_dict(found)
+    watch = json.loads(capsys.readouterr().out)
+    assert [frame["name"] for frame in watch["frames"]] == [f"scene-0000/{number:04d}" for number in range(5)]
+    assert [frame["level"] is None for frame in watch["frames"]] == [True, True, False, False, False]
+    assert (watch["rate_hz"], watch["slips"]) == (20.0, [])

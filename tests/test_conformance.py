@@ -6,29 +6,18 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, nullcontext
 from copy import deepcopy
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import p2o
 import pytest
-from p2o import Kind, Method, Registry, UnknownNameError
+from p2o import Kind, Method, UnknownNameError
 from p2o.solving import Objective
-from p2o_testing import (
-    CHECKS,
-    Case,
-    CheckFailed,
-    NotApplicable,
-    checks_for,
-    conformance_cases,
-    reads_files,
-    stage,
-)
+from p2o_testing import CHECKS, Case, CheckFailed, NotApplicable, checks_for, conformance_cases, reads_files, stage
 
 from tests.broken_methods import BROKEN, REGISTRY
 from tests.rendered_frames import all_rendered
 
-FAMILIES = Path(__file__).with_name("family_plugins")
 SMALL = {"synthetic": {"width_px": 310, "height_px": 94}}
 
 
@@ -245,17 +234,6 @@ def test_a_plugin_with_kinds_of_its_own_keeps_every_promise() -> None:
     for offer in ours:
         found = outcomes(checks_for(offer, registry=REGISTRY))
         assert found["failed"] == found["skipped"] == set(), offer.name
-
-
-@pytest.mark.parametrize("name", ["accumulated", "line_segments", "mutual_information"])
-def test_families_of_staged_methods_keep_every_promise(name: str) -> None:
-    file = FAMILIES / f"{name}.py"
-    registry = Registry.load(extra_files=[file], environ={})
-    theirs = [offer for offer in registry.offers if offer.dist == file.name]
-    assert theirs
-    cases = [case for offer in theirs for case in checks_for(offer, registry=registry)]
-    kept, excused = (outcomes(c for c in cases if bool(c.expected_failure) is known) for known in (False, True))
-    assert kept["failed"] == kept["skipped"] == excused["passed"] == set()
 
 
 def test_a_matcher_without_an_extractor_of_its_kind_is_not_judged() -> None:

@@ -151,3 +151,18 @@ def test_the_method_that_learns_on_the_page_learns_and_is_used(
     assert "extractor.weights=trained/weights.json" in said
     assert "scene-0000" in said
     assert main(["plugin", "check", "learned-steps", "--plugin", "learned.py"]) == 0
+
+
+def test_the_problem_of_a_matcher_on_the_page_is_solved() -> None:
+    """The class that docs/plugins.md prints, posed on the stage and solved by our own solver."""
+    from p2o_plugins.solve import lm
+    from p2o_testing import stage
+
+    code = block_with("class Nearest(")
+    names: dict[str, object] = {}
+    exec(compile(code, "plugins.md", "exec"), names)  # noqa: S102
+    truth = stage.camera_from_lidar()
+    start = p2o.se3.exp([0.004, -0.003, 0.002, 0.0, 0.0, 0.0]) @ truth
+    problem = names["Nearest"](stage.view(), start, 20.0)  # type: ignore[operator]
+    pose = lm.METHOD.build(lm.METHOD.options())(problem, start).camera_from_lidar
+    assert p2o.pose_error(pose, truth).rotation_deg < 0.5 * p2o.pose_error(start, truth).rotation_deg

@@ -14,16 +14,11 @@ from p2o.cli import main
 from p2o.results.figures import result_lines
 from p2o_study.keys import method_content
 
+pytestmark = pytest.mark.usefixtures("plain_environment")
 PLUGIN = Path(__file__).with_name("stage_plugin.py")
 DOUBTFUL = ["--plugin", str(PLUGIN), "--calibrator", "spy", "--perturb", "2deg 0.1m", "--witness", "none"]
 TRUSTED = ["run", "--data", "synthetic:?scenes=1", "--extractor", "depth/rings", "--perturb", "2deg 0.15m"]
 RESEARCH_ONLY = "kitti: research only (CC BY-NC-SA 3.0); P2O_WEIGHTS=free selects weights without this restriction"
-
-
-@pytest.fixture(autouse=True)
-def _plain_environment(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("P2O_PLUGINS", "P2O_STRICT", "P2O_WEIGHTS"):
-        monkeypatch.delenv(name, raising=False)
 
 
 def doubtful(data: str, *words: str) -> list[str]:

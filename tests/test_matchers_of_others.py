@@ -8,7 +8,7 @@ from pathlib import Path
 import p2o
 import pytest
 from p2o.host.method import Kind
-from p2o.run.run import Run
+from p2o.run.outcome import Run
 from p2o_testing.new_plugin import NewPlugin
 
 from tests.pages import python_blocks

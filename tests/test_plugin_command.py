@@ -18,6 +18,8 @@ from p2o.host.registry import Registry
 from p2o_testing.cli.plugin_new import SLOTS
 from p2o_testing.new_plugin import SLOT_WORDS, NewPlugin
 
+from tests.test_architecture import Source, private_names
+
 ROOT = Path(__file__).parents[1]
 
 
@@ -30,6 +32,7 @@ def test_the_method_of_every_slot_loads_from_its_file_and_keeps_its_promises(
     slot: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = str(written(tmp_path, slot) / "src/acme_thing/plugin.py")
+    assert list(private_names(Source(Path(file), Path(file).read_text(), "acme_thing.plugin"))) == []
     registry = Registry.load(plugins=["p2o-calib"], extra_files=[file])
     [offer] = registry.named("acme-thing")
     assert offer.kind == SLOT_WORDS[slot]

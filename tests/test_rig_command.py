@@ -16,7 +16,8 @@ from p2o.cli import main
 from p2o.errors import PluginError
 from p2o.results.result import RigResult
 from p2o.results.result_json import result_from_dict
-from p2o.run.run import Run, run
+from p2o.run.outcome import Run
+from p2o.run.run import run
 from p2o_sim.synthetic import SyntheticOptions, truth_at
 from p2o_testing import stage
 

@@ -19,14 +19,9 @@ from p2o.cli import main
 from p2o.files.file_names import distinct_names
 from p2o.run.recipe import open_dataset
 
+pytestmark = pytest.mark.usefixtures("plain_environment")
 PLUGIN = Path(__file__).with_name("stage_plugin.py")
 SPY = ["--plugin", str(PLUGIN), "--calibrator", "spy", "--perturb", "2deg 0.1m", "--witness", "none"]
-
-
-@pytest.fixture(autouse=True)
-def _plain_environment(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("P2O_PLUGINS", "P2O_DEBUG", "P2O_STRICT"):
-        monkeypatch.delenv(name, raising=False)
 
 
 def spy(data: str, *words: str) -> list[str]:
@@ -110,11 +105,7 @@ def test_a_bad_frame_is_a_row_with_its_reason_and_the_others_are_calibrated(
     assert main(spy("fake:?frames=3&bad=1", "--out", str(tmp_path / "out"))) == 2
     captured = capsys.readouterr()
     lines = [line for line in captured.out.splitlines() if line.startswith(("drive/", "  predicted", "  failed"))]
-    assert lines[1:4] == [
-        "  predicted unknown",
-        "drive/0001",
-        "  failed    a.png: the image is cut short",
-    ]
+    assert lines[1:4] == ["  predicted unknown", "drive/0001", "  failed    a.png: the image is cut short"]
     assert lines[4] == "drive/0002"
     assert "2 calibrations: 2 solved\n  1 frames failed" in captured.out
     assert captured.err.splitlines()[-1] == (
@@ -157,8 +148,12 @@ def test_a_joint_calibration_needs_every_frame_and_says_which_is_bad(capsys: pyt
     )
 
 
+@pytest.mark.parametrize(
+    ("output", "file"),
+    [(["--export", "json:{tmp}/{{frame}}.json"], "drive_0001.json"), (["--out", "{tmp}"], "drive_0001/result.json")],
+)
 def test_a_disk_that_fills_up_takes_no_finished_result_away(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    output: list[str], file: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     real = Path.write_bytes
 
@@ -168,13 +163,14 @@ def test_a_disk_that_fills_up_takes_no_finished_result_away(
         return real(self, data)
 
     monkeypatch.setattr(Path, "write_bytes", full)
-    assert main(spy("fake:?frames=3", "--export", f"json:{tmp_path}/{{frame}}.json", "--json")) == 2
+    assert main(spy("fake:?frames=3", "--json", *(word.format(tmp=tmp_path) for word in output))) == 2
     captured = capsys.readouterr()
     assert [row["frames"] for row in json.loads(captured.out)["results"]] == [["drive/0000"], ["drive/0001"]]
     error = captured.err.splitlines()[-1]
-    assert error.startswith(f"p2o: error: {tmp_path}/drive_0001.json: cannot write the file; got No space left")
+    assert error.startswith(f"p2o: error: {tmp_path}/{file}: cannot write the file; got No space left")
     assert "free space" in error
-    assert [path.name for path in tmp_path.iterdir()] == ["drive_0000.json"]
+    assert (tmp_path / file.replace("0001", "0000")).is_file()
+    assert not (tmp_path / file).exists()
 
 
 def test_a_refused_result_is_not_exported_and_the_others_are(

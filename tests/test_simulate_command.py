@@ -102,10 +102,7 @@ def test_the_folder_layout_says_when_and_where_a_frame_of_a_drive_was_and_what_b
     np.testing.assert_array_equal(entry["camera_world_from_camera"], frame.camera_world_from_camera)
     checkerboard = {"columns": 7, "rows": 4, "square_m": 0.1, "width_m": 0.9, "height_m": 0.6}
     holes = {"width_m": 1.0, "height_m": 0.8, "holes": [[-0.2, 0.0, 0.1], [0.2, 0.1, 0.12]]}
-    bodies = [
-        {"kind": "sphere", "radius_m": 0.25},
-        {"kind": "box", "width_m": 0.9, "height_m": 0.7, "depth_m": 0.5},
-    ]
+    bodies = [{"kind": "sphere", "radius_m": 0.25}, {"kind": "box", "width_m": 0.9, "height_m": 0.7, "depth_m": 0.5}]
     assert entry["targets"] == [{"kind": "checkerboard", **checkerboard}, {"kind": "holes", **holes}, *bodies]
     again = read("folder", tmp_path)[0]
     assert (again.sequence, again.time_s, again.targets) == ("drive 1", 2.5, targets)

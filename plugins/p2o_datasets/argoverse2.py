@@ -21,7 +21,7 @@ from typing import Any, Literal
 
 import numpy as np
 from p2o import Bool, Camera, Cloud, Dataset, Float, Frame, InputError, Int, Method, Options, field, se3
-from p2o.reading import existing_folder, listing, naming
+from p2o.reading import existing_folder, layout, listing, naming
 
 from p2o_datasets.arrow_file import read_feather
 from p2o_datasets.cloud_file import cloud_from_fields
@@ -251,4 +251,5 @@ METHOD = Method(
     gives=frozenset({"rings", "intensity", "time"}),
     cite="Wilson et al.: Argoverse 2: next generation datasets for self-driving perception. NeurIPS Datasets 2021",
     extra="arrow",
+    recognises=layout("city_SE3_egovehicle.feather", "*/city_SE3_egovehicle.feather"),
 )

@@ -25,7 +25,7 @@ from p2o import (
     field,
     reading,
 )
-from p2o.reading import LazyFrames, listing, naming, parse_yaml, read_extrinsic, read_rgb, read_text, validated
+from p2o.reading import LazyFrames, layout, listing, naming, parse_yaml, read_extrinsic, read_rgb, read_text, validated
 from p2o_formats.camera_entry import CAMERA_FORMS, read_camera_entry
 from p2o_formats.plain_text import states_quaternion
 from pydantic import Field
@@ -370,4 +370,5 @@ METHOD = p2o.Method(
     summary="Your own frames: an image, a sweep and a frame.yaml in one folder each.",
     gives=frozenset({"rings", "intensity", "time"}),
     parallel=True,
+    recognises=layout("frame.yaml", "*/frame.yaml"),
 )

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 from p2o import Camera, Dataset, Float, Frame, InputError, Method, Options, field, se3
-from p2o.reading import existing_folder, naming, parse_yaml, read_text
+from p2o.reading import existing_folder, layout, naming, parse_yaml, read_text
 from p2o.reading import numbers as numbers_in
 from p2o_formats.kitti_calibration import calibration_of, read_calibration, rectified_camera
 
@@ -225,4 +225,5 @@ METHOD = Method(
     summary="KITTI-360: rectified front cameras, side fisheyes, raw sweeps compensated with the vehicle's poses.",
     gives=frozenset({"rings", "intensity", "time"}),
     cite="Liao, Xie, Geiger: KITTI-360: a novel dataset and benchmarks for urban scene understanding. PAMI 2022",
+    recognises=layout("data_3d_raw"),
 )

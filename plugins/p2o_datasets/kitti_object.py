@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from p2o import Dataset, Frame, Method, Options, field
-from p2o.reading import existing_folder
+from p2o.reading import existing_folder, layout
 from p2o_formats.kitti_calibration import read_calibration, rectified_extrinsic
 
 from p2o_datasets.kitti_folder import add_pairs, image_in, read_rectified
@@ -58,4 +58,5 @@ METHOD = Method(
     summary="KITTI object detection frames, each with its own calibration.",
     gives=frozenset({"rings", "intensity", "time"}),
     cite="Geiger, Lenz, Urtasun: Are we ready for autonomous driving? The KITTI vision benchmark suite. CVPR 2012",
+    recognises=layout("training/velodyne", "calib/[0-9]*.txt"),
 )

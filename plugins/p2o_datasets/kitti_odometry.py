@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from p2o import Dataset, Float, Frame, InputError, Method, Options, field, se3
-from p2o.reading import existing_folder, numbers, read_text
+from p2o.reading import existing_folder, layout, numbers, read_text
 from p2o_formats.kitti_calibration import camera_offset, read_calibration, rectified_extrinsic, refuse_cut_off
 
 from p2o_datasets.kitti_folder import add_pairs, image_in, read_rectified
@@ -118,4 +118,5 @@ METHOD = Method(
     summary="KITTI odometry sequences, sweeps already motion-compensated.",
     gives=frozenset({"rings", "intensity"}),
     cite="Geiger, Lenz, Urtasun: Are we ready for autonomous driving? The KITTI vision benchmark suite. CVPR 2012",
+    recognises=layout("sequences/*/velodyne", "[0-9][0-9]/velodyne", "../[0-9][0-9]/velodyne"),
 )

@@ -12,7 +12,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 from p2o import Dataset, Float, Frame, Image, InputError, Method, Options, field, se3
-from p2o.reading import RadialError, existing_folder
+from p2o.reading import RadialError, existing_folder, layout
 from p2o_formats.kitti_calibration import KittiCalibration, read_calibration, rectified_extrinsic
 from pydantic import Field, field_validator
 
@@ -250,4 +250,5 @@ METHOD = Method(
     summary="KITTI raw recordings, any day and drive, synchronised or extracted.",
     gives=frozenset({"rings", "intensity", "time"}),
     cite="Geiger, Lenz, Stiller, Urtasun: Vision meets robotics: the KITTI dataset. IJRR 2013",
+    recognises=layout("*_drive_*/velodyne_points", "*/*_drive_*/velodyne_points", "../*_drive_*/velodyne_points"),
 )

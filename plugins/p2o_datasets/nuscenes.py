@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from p2o import Dataset, Frame, InputError, Method, Options, UnknownNameError, field, se3
-from p2o.reading import existing_folder, listing
+from p2o.reading import existing_folder, layout, listing
 from p2o_formats.camera_entry import read_camera
 
 from p2o_datasets.cloud_file import read_cloud
@@ -197,4 +197,5 @@ METHOD = Method(
     summary="nuScenes v1.0: key frames and intermediate images of six cameras, and the top LiDAR.",
     gives=frozenset({"rings", "intensity"}),
     cite="Caesar et al.: nuScenes: a multimodal dataset for autonomous driving. CVPR 2020",
+    recognises=layout("v1.0-*/sample_data.json"),
 )

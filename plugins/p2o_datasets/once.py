@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 from p2o import Camera, Dataset, Float, Frame, InputError, Method, Options, UnknownNameError, field, se3
-from p2o.reading import existing_folder, numbers, parse_json, read_pose, read_text
+from p2o.reading import existing_folder, layout, numbers, parse_json, read_pose, read_text
 from p2o_formats.camera_entry import read_camera
 from p2o_formats.kitti_calibration import check_centre
 
@@ -184,4 +184,5 @@ METHOD = Method(
     summary="ONCE: seven cameras and the 40-beam roof LiDAR.",
     gives=frozenset({"intensity"}),
     cite="Mao et al.: One million scenes for autonomous driving: ONCE dataset. NeurIPS Datasets and Benchmarks 2021",
+    recognises=layout("lidar_roof", "*/lidar_roof", "data/*/lidar_roof"),
 )

@@ -18,7 +18,7 @@ from typing import Any, Literal
 
 import numpy as np
 from p2o import Cloud, Dataset, Float, Frame, InputError, Int, Method, Options, field, se3
-from p2o.reading import existing_folder, listing, parse_json, read_text
+from p2o.reading import existing_folder, layout, listing, parse_json, read_text
 from p2o_formats.kitti_calibration import rectified_camera
 
 from p2o_datasets.cloud_file import cloud_from_fields
@@ -254,4 +254,5 @@ METHOD = Method(
     summary="PandaSet: six cameras, the Pandar64 and the PandarGT; its pickles are read without executing them.",
     gives=frozenset({"intensity", "time"}),
     cite="Xiao et al.: PandaSet: advanced sensor suite dataset for autonomous driving. ITSC 2021",
+    recognises=layout("lidar/poses.json", "*/lidar/poses.json"),
 )

@@ -9,11 +9,11 @@ from typing import Any, Literal
 
 import numpy as np
 from p2o import Dataset, Float, Frame, Image, InputError, Int, Method, Options, field, se3
-from p2o.reading import LazyFrames, check_direction, naming
+from p2o.reading import LazyFrames, check_direction, layout, naming
 from p2o_formats.frame_names import axes_remark, has_body_axes, optical_from
 from p2o_formats.frame_tree import FrameTree, bare, optical_below
 
-from p2o_datasets.bags.bag import Bag
+from p2o_datasets.bags.bag import SUFFIXES, Bag
 from p2o_datasets.bags.choice import Chosen, base, choose, choose_path, tf_topics
 from p2o_datasets.bags.messages import CAMERA_INFO, LIVOX, read_header, read_message
 from p2o_datasets.bags.point_columns import columns_of
@@ -367,6 +367,11 @@ def _seconds(time_ns: int) -> str:
     return f"{time_ns // _SECOND}.{time_ns % _SECOND:09d}"
 
 
+def recognises(path: Path) -> bool:
+    """Return whether a path is a bag or a folder of bags."""
+    return path.suffix in SUFFIXES if path.is_file() else layout(*(f"*{suffix}" for suffix in SUFFIXES))(path)
+
+
 METHOD = Method(
     name="ros",
     build=build,
@@ -374,4 +379,5 @@ METHOD = Method(
     summary="ROS 1 and 2 bags and MCAP: images and sweeps paired by time, camera of CameraInfo, initial guess of TF.",
     gives=frozenset({"rings", "intensity", "time"}),
     extra="ros",
+    recognises=recognises,
 )

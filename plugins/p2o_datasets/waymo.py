@@ -17,7 +17,7 @@ from typing import Any, Literal
 
 import numpy as np
 from p2o import Camera, Cloud, Dataset, Float, Frame, Image, InputError, Method, Options, field, se3
-from p2o.reading import adjoint, decode_rgb, existing_folder, listing, naming, pose_at, read_pose
+from p2o.reading import adjoint, decode_rgb, existing_folder, layout, listing, naming, pose_at, read_pose
 from p2o_formats.camera_entry import read_camera
 
 from p2o_datasets.cloud_file import cloud_from_fields
@@ -233,4 +233,5 @@ METHOD = Method(
     gives=frozenset({"rings", "intensity"}),
     cite="Sun et al.: Scalability in perception for autonomous driving: Waymo Open Dataset. CVPR 2020",
     extra="arrow",
+    recognises=layout("lidar/*.parquet", "*/lidar/*.parquet", "*.tfrecord"),
 )

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 from p2o import Camera, Dataset, Float, Frame, Image, InputError, Method, Options, field, se3
-from p2o.reading import LazyFrames, existing_folder, listing, naming, read_rgb, read_text, read_uint16
+from p2o.reading import LazyFrames, existing_folder, layout, listing, naming, read_rgb, read_text, read_uint16
 from pydantic import Field
 
 from p2o_sim.sensing.depth_lidar import depth_sweep
@@ -205,4 +205,5 @@ METHOD = Method(
     summary="Virtual KITTI 2 with a LiDAR simulated from its depth, as in the paper's Table 1.",
     gives=frozenset({"depth", "truth", "rings"}),
     cite="Cabon, Murray, Humenberger: Virtual KITTI 2. arXiv 2001.10773, 2020",
+    recognises=layout("Scene[0-9]*/*/frames", "*/frames/rgb"),
 )

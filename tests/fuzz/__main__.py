@@ -22,13 +22,12 @@ from tests.fuzz.doors import SURFACES
 
 @click.command()
 @click.option("--cases", default=20_000, show_default=True, help="How many.")
-@click.option("--first", default=0, help="Number of the first one.")
 @click.option("--seed", default=0, show_default=True, help="Other cases.")
 @click.option("--jobs", default=os.cpu_count() or 1, show_default=True, help="Processes.")
 @click.option("--door", "doors", multiple=True, type=click.Choice(list(SURFACES)), help="Only here.")
 @click.option("--case", "number", type=int, help="This one again; its files stay, in OUT-again.")
 @click.option("--out", default="build/fuzz", show_default=True, help="Where cases that break a promise stay.")
-def fuzz(cases: int, first: int, seed: int, jobs: int, doors: tuple[str, ...], number: int | None, out: str) -> None:
+def fuzz(cases: int, seed: int, jobs: int, doors: tuple[str, ...], number: int | None, out: str) -> None:
     """Meet p2o with mutated inputs; see docs/reliability.md."""
     import cv2
     import torch
@@ -48,7 +47,7 @@ def fuzz(cases: int, first: int, seed: int, jobs: int, doors: tuple[str, ...], n
         print(f"p2o {' '.join(verdict.argv)!a}\n{verdict.kept}: status {verdict.status}, {verdict.broken or 'fine'}")
         sys.exit(1 if verdict.broken else 0)
     tally, begun = Tally(), time.monotonic()
-    for verdict in campaign(bases, root, cases=cases, seed=seed, jobs=jobs, doors=chosen, first=first):
+    for verdict in campaign(bases, root, cases=cases, seed=seed, jobs=jobs, doors=chosen):
         tally.verdicts.append(verdict)
         if len(tally.verdicts) % 500 == 0:
             rate = len(tally.verdicts) / (time.monotonic() - begun)

@@ -1,4 +1,4 @@
-"""The right inputs that cases begin with: small frames in every layout, a study, its rows, a result, a cache."""
+"""The right inputs that cases begin with: small frames in every layout, a study, its store, a result, a cache."""
 
 from __future__ import annotations
 
@@ -14,9 +14,8 @@ from p2o import Camera
 from p2o.cli import main
 
 from tests import bag_files
-from tests.p2o_datasets import argoverse2_files, kitti_360_files, once_files, pandaset_files, waymo_files
+from tests.p2o_datasets import argoverse2_files, kitti_360_files, kitti_files, once_files, pandaset_files, waymo_files
 from tests.p2o_datasets.nuscenes_files import Tree
-from tests.study_bench import HEAD, PLUGIN
 
 STUDY = """name = "small"
 title = "A small study"
@@ -85,13 +84,8 @@ class Bases:
 
     @property
     def study(self) -> Path:
-        """A folder with study.toml, the finished rows (out), its reference.json and the cache of its features."""
+        """A folder with study.toml, the finished store (out) and the cache of its features."""
         return self.root / "study"
-
-    @property
-    def board(self) -> Path:
-        """A folder with the suite tiny.toml, its results, its bundle tiny.zip, and poses.csv to score."""
-        return self.root / "board"
 
     @property
     def result(self) -> Path:
@@ -108,7 +102,7 @@ def build(root: Path) -> Bases:
         # KITTI's readers want the rings of its own sensor.
         small = {**_SMALL, "lidar": "hdl-64e"} if layout == "kitti-raw" else _SMALL
         _p2o("simulate", root / layout, "--layout", layout, *_settings({**small, "scenes": 2}))
-    _other_kitti(root, root / "kitti-raw")
+    _other_kitti(root)
     _bags(root / "bags")
     Tree(root / "nuscenes").write()
     argoverse2_files.Log(root / "argoverse2").write()
@@ -119,10 +113,8 @@ def build(root: Path) -> Bases:
     bases.study.mkdir()
     toml = bases.study / "study.toml"
     toml.write_text(STUDY.replace("DATA", str(bases.folder)), encoding="utf-8")
-    gate = bases.study / "reference.json"
-    _p2o("ablate", toml, "--out", bases.study / "out", "--jobs", 1, "--quiet", "--gate", gate, "--update")
+    _p2o("ablate", toml, "--out", bases.study / "out", "--jobs", 1, "--quiet")
     _p2o("run", "--data", f"folder:{bases.folder}", *RUN, "--out", root / "run")
-    _board(bases.board)
     # What these load stays loaded in every fork.
     _p2o("run", "--data", f"folder:{bases.folder}", "--frames", "0")
     _p2o("report", bases.study / "out", "--out", root / "report")
@@ -133,17 +125,6 @@ def build(root: Path) -> Bases:
     shutil.rmtree(root / "report")
     del os.environ["P2O_CACHE"]
     return bases
-
-
-def _board(root: Path) -> None:
-    root.mkdir()
-    (root / "study.toml").write_text(HEAD + '[[row]]\nlabel = "quick"\ncalibrator = "quick"\nwitness = "none"\n')
-    (root / "tiny.toml").write_text('name = "tiny"\nquestion = "Which is better?"\nstudy = "study.toml"\n')
-    suite, more = root / "tiny.toml", ("--plugin", PLUGIN, "--quiet")
-    results = ("--results", root / "results")
-    _p2o("benchmark", "run", suite, *results, "--workers", 1, *more)
-    _p2o("benchmark", "bundle", suite, *results, "--out", root / "tiny.zip", *more)
-    _p2o("benchmark", "starts", suite, "--out", root / "poses.csv", *more)
 
 
 def _bags(root: Path) -> None:
@@ -176,40 +157,19 @@ def _p2o(*words: object) -> None:
         raise RuntimeError(f"a base cannot be made: p2o {' '.join(map(str, words))}: {said.getvalue()}")
 
 
-def _other_kitti(root: Path, raw: Path) -> None:
-    """Write KITTI's object and odometry layouts from a drive of its raw one."""
-    day = next(raw.glob("20*"))
-    drive = sorted(day.glob("*_sync"))[0]
-    image = sorted((drive / "image_02/data").iterdir())[0]
-    sweep = sorted((drive / "velodyne_points/data").iterdir())[0]
-    numbers = {
-        line.partition(":")[0]: line.partition(":")[2].strip()
-        for name in ("calib_cam_to_cam.txt", "calib_velo_to_cam.txt")
-        for line in (day / name).read_text(encoding="utf-8").splitlines()
-    }
-    rotation = np.array(numbers["R"].split(), float).reshape(3, 3)
-    shift = np.array(numbers["T"].split(), float).reshape(3, 1)
-    velo = " ".join(f"{x:.9e}" for x in np.hstack([rotation, shift]).ravel())
-    projections = [numbers.get(f"P_rect_0{i}", numbers["P_rect_02"]) for i in range(4)]
-    home = root / "kitti-object/training"
-    for name, file in (("image_2", image), ("velodyne", sweep)):
-        (home / name).mkdir(parents=True)
-        for number in range(2):
-            shutil.copy(file, home / name / f"{number:06d}{file.suffix}")
-    (home / "calib").mkdir()
-    lines = [f"P{i}: {values}" for i, values in enumerate(projections)]
-    eye = " ".join(f"{x:.6e}" for x in np.eye(3).ravel())
+def _other_kitti(root: Path) -> None:
+    """Write two frames in KITTI's object and odometry layouts."""
+    rig = {f"P{number}": kitti_files.numbers(matrix) for number, matrix in kitti_files.PROJECTIONS.items()}
+    velo, rect = (kitti_files.numbers(m) for m in (kitti_files.VELO_TO_CAM[:3], kitti_files.R_RECT[:3, :3]))
+    objects, sequence = root / "kitti-object/training", root / "kitti-odometry/sequences/00"
     for number in range(2):
-        text = "\n".join([*lines, f"R0_rect: {eye}", f"Tr_velo_to_cam: {velo}", f"Tr_imu_to_velo: {velo}"])
-        (home / f"calib/{number:06d}.txt").write_text(text + "\n", encoding="utf-8")
-    home = root / "kitti-odometry"
-    folder = home / "sequences/00"
-    for name, file in (("image_2", image), ("velodyne", sweep)):
-        (folder / name).mkdir(parents=True)
-        for number in range(2):
-            shutil.copy(file, folder / name / f"{number:06d}{file.suffix}")
-    (folder / "calib.txt").write_text("\n".join([*lines, f"Tr: {velo}"]) + "\n", encoding="utf-8")
-    (folder / "times.txt").write_text("0.000000e+00\n1.036e-01\n", encoding="utf-8")
-    (home / "poses").mkdir()
-    pose = " ".join(f"{x:.6e}" for x in np.eye(4)[:3].ravel())
-    (home / "poses/00.txt").write_text(f"{pose}\n{pose}\n", encoding="utf-8")
+        for folder in (objects, sequence):
+            kitti_files.write_image(folder / f"image_2/{number:06d}.png", seed=number)
+            kitti_files.write_sweep(folder / f"velodyne/{number:06d}.bin")
+        lines = {**rig, "R0_rect": rect, "Tr_velo_to_cam": velo, "Tr_imu_to_velo": velo}
+        kitti_files.write_lines(objects / f"calib/{number:06d}.txt", lines)
+    kitti_files.write_lines(sequence / "calib.txt", {**rig, "Tr": velo})
+    (sequence / "times.txt").write_text("0.000000e+00\n1.036e-01\n", encoding="utf-8")
+    poses = root / "kitti-odometry/poses/00.txt"
+    poses.parent.mkdir()
+    poses.write_text(2 * f"{kitti_files.numbers(np.eye(4)[:3])}\n", encoding="utf-8")

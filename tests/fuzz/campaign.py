@@ -98,11 +98,9 @@ def one(bases: Bases, home: Path, seed: int, number: int, doors: Sequence[str], 
     )
 
 
-def campaign(
-    bases: Bases, root: Path, *, cases: int, seed: int, jobs: int, doors: Sequence[str], first: int = 0
-) -> Iterator[Verdict]:
+def campaign(bases: Bases, root: Path, *, cases: int, seed: int, jobs: int, doors: Sequence[str]) -> Iterator[Verdict]:
     """Yield the verdict of each case as it ends; `jobs` processes share them."""
-    numbers = range(first, first + cases)
+    numbers = range(cases)
     if jobs == 1:
         yield from (one(bases, root / f"case-{number}", seed, number, doors) for number in numbers)
         return

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import shutil
 import sqlite3
 import struct
-import zipfile
-from collections.abc import Sequence
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -18,16 +15,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from tests.fuzz.bases import RUN, Bases
-from tests.fuzz.mutate import NUMBERS, VALUES, WORDS, bytes_of, tree_of
-from tests.fuzz.surfaces import OUT, Case, read_or_run
-from tests.study_bench import PLUGIN
-
-
-def _bag_case(rng: Random, name: str) -> Case:
-    if rng.random() < 0.3:
-        return Case(("data", "topics", name, *rng.choice(((), ("--json",)))))
-    return Case(("data", "check", f"ros:{name}", *rng.choice(((), ("--set", "data.tf=truth")))))
-
+from tests.fuzz.mutate import NUMBERS, VALUES, WORDS, bytes_of
+from tests.fuzz.surfaces import OUT, Case, bag_case, calibrations, frame_of, read_or_run, said_in
 
 _SCHEMA = (
     "drop table {t}",
@@ -61,7 +50,7 @@ def bag_tables(rng: Random, bases: Bases, home: Path) -> Case:
                 else:
                     _spoil_cell(rng, connection, table, rng.choice(columns))
         connection.commit()
-    return _bag_case(rng, "in/drive.db3")
+    return bag_case(rng, "in/drive.db3")
 
 
 def _spoil_cell(rng: Random, connection: sqlite3.Connection, table: str, column: str) -> None:
@@ -103,7 +92,7 @@ def mcap_records(rng: Random, bases: Bases, home: Path) -> Case:
         length = len(content) if rng.random() < 0.97 else rng.choice((0, 2**31, 2**63, 2**64 - 1, len(content) + 1))
         spoilt += struct.pack("<BQ", operation, length) + content
     (home / "in/drive.mcap").write_bytes(spoilt + magic)
-    return _bag_case(rng, "in/drive.mcap")
+    return bag_case(rng, "in/drive.mcap")
 
 
 def columns(rng: Random, bases: Bases, home: Path) -> Case:
@@ -149,29 +138,9 @@ def columns(rng: Random, bases: Bases, home: Path) -> Case:
     return read_or_run(rng, f"{name}:in/data")
 
 
-def tables(rng: Random, bases: Bases, home: Path) -> Case:
-    """A JSON file of nuScenes, PandaSet, ONCE or Waymo with wrong values."""
-    name = rng.choice(("nuscenes", "nuscenes", "pandaset", "once"))
-    root = home / "in/data"
-    shutil.copytree(bases.layouts[name], root, copy_function=os.link)
-    for path in rng.sample(found := sorted(root.rglob("*.json")), min(len(found), rng.choice((1, 1, 2)))):
-        tree = tree_of(rng, json.loads(path.read_text(encoding="utf-8")))
-        path.unlink()
-        path.write_text(json.dumps(tree, default=str), encoding="utf-8", errors="surrogatepass")
-    return read_or_run(rng, f"{name}:in/data")
-
-
 def document(rng: Random, bases: Bases, home: Path) -> Case:
     """A URDF or another file of XML with other elements and attributes, or entities."""
-    from p2o import Camera
-    from p2o.calibration_files.calibration import Calibration
-    from p2o_formats.formats import FORMATS
-
-    forms = [form for form in FORMATS.values() if form.write is not None]
-    camera = Camera("OPENCV", 160, 96, (92.0, 93.0, 80.0, 48.0, 0.1, 0.01, 0.0, 0.001))
-    pose = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
-    texts = [form.written(Calibration(camera, pose)) for form in forms]
-    documents = [text for text in texts if text.lstrip().startswith(b"<")] + [_URDF]
+    documents = [text for text in calibrations().values() if text.lstrip().startswith(b"<")] + [_URDF]
     root = ElementTree.fromstring(rng.choice(documents))
     for _ in range(rng.choice((1, 1, 2, 3))):
         element = rng.choice(list(root.iter()))
@@ -239,12 +208,10 @@ def las(rng: Random, bases: Bases, home: Path) -> Case:
             rng.choice((float("nan"), 1e300, 0.0)) if form == "d" else rng.choice((0, 1, 2**size - 1, 2 ** (size - 1)))
         )
         struct.pack_into(f"<{form}", data, place, value)
-    frame = home / "in/scene"
-    shutil.copytree(bases.folder / "scene-0000", frame, ignore=lambda *_: ("cloud.npz",))
+    frame = frame_of(bases, home, without=("cloud.npz",))
     name = f"cloud{'.laz' if packed else '.las'}"
     (frame / name).write_bytes(bytes_of(rng, bytes(data)) if 0.3 < how < 0.85 else bytes(data))
-    text = (frame / "frame.yaml").read_text(encoding="utf-8").replace("cloud.npz", name)
-    (frame / "frame.yaml").write_text(text, encoding="utf-8")
+    said_in(frame, cloud=name)
     return read_or_run(rng, "folder:in")
 
 
@@ -340,47 +307,3 @@ def plugin(rng: Random, bases: Bases, home: Path) -> Case:
     isolate = ["--isolate"] if how in _ISOLATED or rng.random() < 0.03 else []
     more = rng.choice((["--json"], ["--json"], [], ["--out", OUT], ["--export", f"json:{OUT}/r.json"]))
     return Case(("run", "--data", data, *words, "--plugin", "in/odd.py", *isolate, *more), hangs=_HANGS)
-
-
-def benchmark(rng: Random, bases: Bases, home: Path) -> Case:
-    """Rows and bundles of `p2o benchmark`, and poses to score, with wrong values or bytes."""
-    board = bases.board
-    suite = ("--suite", str(board / "tiny.toml"), "--plugin", str(PLUGIN), "--quiet")
-    how = rng.randrange(3)
-    if how == 0:
-        path = home / "in/poses.csv"
-        data = (board / "poses.csv").read_bytes()
-        path.write_bytes(bytes_of(rng, data))
-        return Case(("benchmark", "score", "in/poses.csv", "--name", "them", "--results", f"{OUT}/results", *suite))
-    if how == 1:
-        shutil.copytree(board / "results", home / OUT / "results")
-        path = rng.choice(sorted(path for path in (home / OUT / "results").rglob("*") if path.is_file()))
-        path.write_bytes(_lines_of(rng, path.read_bytes()))
-        words = ("--results", f"{OUT}/results", "--plugin", str(PLUGIN))
-        named = ("benchmark", rng.choice(("table", "status")), str(board / "tiny.toml"))
-        return Case((*named, *words))
-    with zipfile.ZipFile(board / "tiny.zip") as archive:
-        members = {name: archive.read(name) for name in archive.namelist()}
-    name = rng.choice(sorted(members))
-    members[name] = _lines_of(rng, members[name])
-    with zipfile.ZipFile(home / "in/tiny.zip", "w", rng.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED))) as archive:
-        for member, content in members.items():
-            if member != name or rng.random() < 0.9:
-                archive.writestr(rng.choice((member,) * 9 + (f"../{member}", f"/{member}")), content)
-    if rng.random() < 0.3:
-        path = home / "in/tiny.zip"
-        path.write_bytes(bytes_of(rng, path.read_bytes()))
-    return Case(("benchmark", "verify", "in/tiny.zip", "--sample", "0", *suite))
-
-
-def _lines_of(rng: Random, data: bytes) -> bytes:
-    """Return lines of JSON of which one has wrong values, or wrong bytes."""
-    lines: Sequence[bytes] = data.splitlines()
-    if rng.random() < 0.3 or not lines:
-        return bytes_of(rng, data)
-    place = rng.randrange(len(lines))
-    try:
-        text = json.dumps(tree_of(rng, json.loads(lines[place])), default=str)
-    except ValueError:
-        return bytes_of(rng, data)
-    return b"\n".join([*lines[:place], text.encode("utf-8", "surrogatepass"), *lines[place + 1 :]]) + b"\n"

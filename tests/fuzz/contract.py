@@ -45,8 +45,6 @@ def broken(case: Case, outcome: Outcome, home: Path) -> list[str]:
         found.append("more than one error")
     if outcome.status in (0, 1):
         found += _results(case, said, home)
-        for name, differs in case.same.items():
-            found += [f"{name}: {why}" for why in [differs(home / name)] if why]
     return found
 
 

@@ -15,25 +15,20 @@ SURFACES: Mapping[str, tuple[int, Draw]] = {
     "picture": (13, surfaces.picture),
     "frame-file": (14, surfaces.frame_file),
     "rig": (5, surfaces.rig),
-    "layout": (13, surfaces.layout),
+    "layout": (18, surfaces.layout),
     "bag": (8, surfaces.bag),
     "calibration": (4, surfaces.calibration),
     "words": (16, surfaces.words),
     "study": (7, surfaces.study),
-    "rows": (6, surfaces.rows),
-    "cache": (3, surfaces.cache),
     "result": (4, surfaces.result),
-    "gate": (3, surfaces.gate),
     "weights": (1, surfaces.weights),
     "pairs": (3, surfaces.pairs),
     "bag-tables": (5, containers.bag_tables),
     "mcap": (5, containers.mcap_records),
     "columns": (5, containers.columns),
-    "tables": (5, containers.tables),
     "xml": (4, containers.document),
     "las": (4, containers.las),
     "plugin": (6, containers.plugin),
-    "benchmark": (5, containers.benchmark),
 }
 """Every door by name: how often it is drawn, and how."""
 
@@ -43,8 +38,6 @@ def draw(rng: Random, bases: Bases, home: Path, names: Sequence[str]) -> tuple[s
     (home / "in").mkdir(parents=True)
     (home / OUT).mkdir()
     name = rng.choices(names, [SURFACES[name][0] for name in names])[0]
-    if name in ("rows", "gate"):
-        (home / OUT).rmdir()
     if name == "layout":
         (home / "in").rmdir()
     return name, SURFACES[name][1](rng, bases, home)

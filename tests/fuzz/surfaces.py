@@ -9,7 +9,7 @@ import re
 import shutil
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -30,13 +30,11 @@ OUT = "out"
 class Case:
     """A command of p2o, or a reader called in Python; `result` is a file of results that has to be right after it.
 
-    `same` maps a file of the case to what it has to hold afterwards, by a function that reads both. `hangs` is a file
-    that the case writes if it begins to hang; it is then interrupted as by Ctrl-C.
+    `hangs` is a file that the case writes if it begins to hang; it is then interrupted as by Ctrl-C.
     """
 
     argv: tuple[str, ...] = ()
     call: Callable[[], int] | None = None
-    same: Mapping[str, Callable[[Path], str]] = field(default_factory=dict)
     hangs: str = ""
 
     def __call__(self) -> int:
@@ -52,12 +50,12 @@ Draw = Callable[[Random, Bases, Path], Case]
 
 def sweep(rng: Random, bases: Bases, home: Path) -> Case:
     """A sweep of any format, odd or damaged."""
-    frame = _frame(bases, home, without=("cloud.npz",))
+    frame = frame_of(bases, home, without=("cloud.npz",))
     suffix = rng.choice(files.CLOUDS)
     data = files.cloud(rng, suffix)
     name = f"cloud{suffix}"
     (frame / name).write_bytes(bytes_of(rng, data) if rng.random() < 0.6 else data)
-    _said(frame, cloud=name, **({"twist": None} if rng.random() < 0.7 else {}))
+    said_in(frame, cloud=name, **({"twist": None} if rng.random() < 0.7 else {}))
     if rng.random() < 0.05:
         _swap(rng, frame / name)
     return read_or_run(rng, "folder:in")
@@ -65,7 +63,7 @@ def sweep(rng: Random, bases: Bases, home: Path) -> Case:
 
 def picture(rng: Random, bases: Bases, home: Path) -> Case:
     """An image, a right image or a depth, odd or damaged."""
-    frame = _frame(bases, home)
+    frame = frame_of(bases, home)
     what = rng.choice(("image", "image", "right", "depth"))
     if what == "depth":
         name = rng.choice(("depth.npy", "depth.png"))
@@ -81,7 +79,7 @@ def picture(rng: Random, bases: Bases, home: Path) -> Case:
         data = files.image(rng, suffix) if rng.random() < 0.8 else (frame / f"{what}.png").read_bytes()
         (frame / f"{what}.png").unlink()
     (frame / name).write_bytes(bytes_of(rng, data) if rng.random() < 0.5 else data)
-    _said(frame, **{what: name})
+    said_in(frame, **{what: name})
     if rng.random() < 0.05:
         _swap(rng, frame / name)
     return read_or_run(rng, "folder:in")
@@ -89,7 +87,7 @@ def picture(rng: Random, bases: Bases, home: Path) -> Case:
 
 def frame_file(rng: Random, bases: Bases, home: Path) -> Case:
     """A frame.yaml of wrong values, or wrong bytes."""
-    frame = _frame(bases, home)
+    frame = frame_of(bases, home)
     path = frame / "frame.yaml"
     said = yaml.safe_load(path.read_text(encoding="utf-8"))
     said |= rng.choice(_FORMS)
@@ -105,7 +103,7 @@ def frame_file(rng: Random, bases: Bases, home: Path) -> Case:
 
 def rig(rng: Random, bases: Bases, home: Path) -> Case:
     """A rig file of wrong values, or wrong bytes."""
-    _frame(bases, home)
+    frame_of(bases, home)
     said = tree_of(rng, rng.choice(_RIGS)) if rng.random() < 0.8 else rng.choice(_RIGS)
     name = rng.choice(("rig.yaml", "rig.json"))
     try:
@@ -160,7 +158,7 @@ def layout(rng: Random, bases: Bases, home: Path) -> Case:
         if rng.random() < 0.7:
             data = path.read_bytes()
             path.unlink()
-            path.write_bytes(bytes_of(rng, data))
+            path.write_bytes(_spoilt(rng, path.suffix, data))
         else:
             path = rng.choice((path, path, path.parent))
             if path != root:
@@ -172,6 +170,13 @@ def layout(rng: Random, bases: Bases, home: Path) -> Case:
     return read_or_run(rng, f"{name}:in")
 
 
+def _spoilt(rng: Random, suffix: str, data: bytes) -> bytes:
+    """Return a file with wrong bytes, or a table of JSON with wrong values."""
+    if suffix != ".json" or rng.random() < 0.3:
+        return bytes_of(rng, data)
+    return json.dumps(tree_of(rng, json.loads(data)), default=str).encode("utf-8", "surrogatepass")
+
+
 def bag(rng: Random, bases: Bases, home: Path) -> Case:
     """A bag of any container with bytes that are damaged."""
     base = rng.choice(bases.bags)
@@ -179,6 +184,11 @@ def bag(rng: Random, bases: Bases, home: Path) -> Case:
     (home / name).write_bytes(bytes_of(rng, base.read_bytes()))
     if rng.random() < 0.05:
         _swap(rng, home / name)
+    return bag_case(rng, name)
+
+
+def bag_case(rng: Random, name: str) -> Case:
+    """Return a command that reads a bag."""
     if rng.random() < 0.3:
         return Case(("data", "topics", name, *rng.choice(((), ("--json",)))))
     options = rng.choice(((), ("--set", "data.every_m=0.5"), ("--set", "data.tf=truth")))
@@ -187,7 +197,7 @@ def bag(rng: Random, bases: Bases, home: Path) -> Case:
 
 def words(rng: Random, bases: Bases, home: Path) -> Case:
     """The words of the command line."""
-    _frame(bases, home)
+    frame_of(bases, home)
     (home / OUT / "file").touch()
     command = rng.choice(("run",) * 6 + ("data", "methods", "plugin", "simulate", "labels", "report"))
     argv = [command]
@@ -252,19 +262,12 @@ def _run_word(rng: Random) -> list[str]:
 
 _FLAG = {"matcher": "--matcher", "solver": "--solver", "initializer": "--init"}
 _STAGES: tuple[tuple[str, str, str | None], ...] = (
-    ("pipeline", "", None),
-    ("pipeline", "", None),
-    ("image", "image-extractor", "stereo"),
-    ("image", "image-extractor", "depth"),
-    ("image", "image-extractor", "p2ornet"),
+    *((("pipeline", "", None),) * 2),
+    *(("image", "image-extractor", name) for name in ("stereo", "depth", "p2ornet")),
     ("cloud", "cloud-extractor", "rings"),
     ("matcher", "matcher", "ogm"),
-    ("solver", "solver", "lm"),
-    ("solver", "solver", "scipy"),
-    ("solver", "solver", "nelder-mead"),
-    ("initializer", "initializer", "search"),
-    ("initializer", "initializer", "grid"),
-    ("initializer", "initializer", "far"),
+    *(("solver", "solver", name) for name in ("lm", "scipy", "nelder-mead")),
+    *(("initializer", "initializer", name) for name in ("search", "grid", "far")),
 )
 
 
@@ -331,36 +334,14 @@ def _seeds(rng: Random) -> str:
 
 
 def _frames(rng: Random) -> str:
-    good = (
-        "0",
-        "all",
-        "0-1",
-        ":1",
-        "scene-0000",
-        "-1",
-        "0,1,0",
-        "1-0",
-        "::0",
-        "0-99999999999",
-        ",",
-        "@in/scene/frame.yaml",
-    )
+    good = ["0", "all", "0-1", ":1", "scene-0000", "-1", "0,1,0", "1-0", "::0", "0-99999999999", ","]
+    good += ["@in/scene/frame.yaml"]
     return rng.choice((*good, _word(rng), f"{rng.choice(good)},{_word(rng)}"))
 
 
 def _data(rng: Random) -> str:
     small = "width_px=96&height_px=64&lidar=vlp-16"
-    good = (
-        "folder:in",
-        "folder:in/scene",
-        "kitti-raw:in",
-        "nosuch:in",
-        "in",
-        "folder",
-        ":",
-        "?",
-        f"synthetic:?{small}",
-    )
+    good = f"folder:in folder:in/scene kitti-raw:in nosuch:in in folder : ? synthetic:?{small}".split()
     odd = rng.choice((_word(rng), f"folder:{_word(rng)}", f"synthetic:?{_word(rng)}={_word(rng)}"))
     return rng.choice((*good, odd, odd, f"synthetic:?{small}&seed={_number(rng)}"))
 
@@ -385,40 +366,11 @@ def study(rng: Random, bases: Bases, home: Path) -> Case:
 
 
 _TOML = (
-    *(
-        "1",
-        "-1",
-        "0",
-        "1.5",
-        "inf",
-        "nan",
-        "9999999999999999999999",
-        '"text"',
-        '""',
-        "true",
-        "[]",
-        "{}",
-        "[1, 2]",
-        '["a"]',
-    ),
-    *(
-        "2011-09-26",
-        "12:30:00",
-        '"../../x"',
-        '"{matcher.__class__}"',
-        '"{matcher:>99999999}"',
-        '"{use!r}"',
-        '"\\u001b[31m"',
-    ),
-    *(
-        "[[[[[[[[1]]]]]]]]",
-        "{ a = { b = { c = 1 } } }",
-        '"""long\ntext"""',
-        "1000000",
-        "[0, 0]",
-        '"1e9m"',
-        '"180deg 5m"',
-    ),
+    *("1", "-1", "0", "1.5", "inf", "nan", "9999999999999999999999", "1000000", "true", "[]", "{}"),
+    *("2011-09-26", "12:30:00"),
+    *('"text"', '""', '"1e9m"', '"180deg 5m"', '"../../x"', '"""long\ntext"""', '"\\u001b[31m"'),
+    *('"{matcher.__class__}"', '"{matcher:>99999999}"', '"{use!r}"'),
+    *("[1, 2]", "[0, 0]", '["a"]', "[[[[[[[[1]]]]]]]]", "{ a = { b = { c = 1 } } }"),
 )
 
 
@@ -442,53 +394,6 @@ def _toml_of(rng: Random, text: str) -> str:
                 rng.choice(("matcher", "own", "ogm", "row", "e")), rng.choice(("x", "matchr", "")), 1
             )
     return "\n".join(lines)
-
-
-def rows(rng: Random, bases: Bases, home: Path) -> Case:
-    """The rows of a study: wrong bytes, or JSON with wrong content."""
-    shutil.copytree(bases.study / "out", home / OUT)
-    path = rng.choice(sorted((home / OUT).glob("*.json*")))
-    how = rng.random()
-    if how < 0.35:
-        path.write_bytes(bytes_of(rng, path.read_bytes()))
-    elif how < 0.4:
-        _swap(rng, path)
-    else:
-        lines = path.read_bytes().splitlines()
-        at = rng.randrange(len(lines))
-        lines[at] = json.dumps(tree_of(rng, json.loads(lines[at]))).encode("utf-8", "surrogatepass")
-        path.write_bytes(b"\n".join(lines) + b"\n")
-    shutil.copytree(bases.study / "cache", home / "cache", copy_function=os.link, dirs_exist_ok=True)
-    if rng.random() < 0.6:
-        return Case(("report", OUT, "--out", f"{OUT}/report"))
-    return Case(("ablate", str(bases.study / "study.toml"), "--out", OUT, "--jobs", "1"))
-
-
-def cache(rng: Random, bases: Bases, home: Path) -> Case:
-    """A damaged cache of features: what comes out is the same to the last bit."""
-    shutil.copytree(bases.study / "cache", home / "cache", dirs_exist_ok=True)
-    kept = {path: path.read_bytes() for path in sorted((home / "cache").rglob("*.npz"))}
-    for path, data in kept.items():
-        how = rng.randrange(5)
-        if how == 0:
-            path.write_bytes(rng.choice(list(kept.values())))
-        elif how == 1:
-            _swap(rng, path)
-        elif how < 4:
-            path.write_bytes(bytes_of(rng, data))
-    expected = _estimates(next((bases.study / "out").glob("[!_]*.jsonl")))
-    return Case(
-        ("ablate", str(bases.study / "study.toml"), "--out", OUT, "--jobs", "1", "--quiet"),
-        same={
-            f"{OUT}/{path.name}": lambda path: "" if _estimates(path) == expected else "other results than undisturbed"
-            for path in (bases.study / "out").glob("[!_]*.jsonl")
-        },
-    )
-
-
-def _estimates(path: Path) -> list[Any]:
-    lines = map(json.loads, path.read_text(encoding="utf-8").splitlines())
-    return sorted((line["key"], line["status"], line.get("estimate"), line["case"]) for line in lines)
 
 
 def result(rng: Random, bases: Bases, home: Path) -> Case:
@@ -517,33 +422,6 @@ def result(rng: Random, bases: Bases, home: Path) -> Case:
     return Case(call=call)
 
 
-def gate(rng: Random, bases: Bases, home: Path) -> Case:
-    """The reference of a gate, or a file of splits."""
-    shutil.copytree(bases.study / "out", home / OUT)
-    shutil.copytree(bases.study / "cache", home / "cache", copy_function=os.link, dirs_exist_ok=True)
-    if rng.random() < 0.7:
-        path = home / "in/reference.json"
-        tree: Any = json.loads((bases.study / "reference.json").read_text(encoding="utf-8"))
-        argv = ["ablate", str(bases.study / "study.toml"), "--out", OUT, "--jobs", "1", "--gate", "in/reference.json"]
-        argv += ["--update"] if rng.random() < 0.2 else []
-        if "--update" in argv:
-            argv[argv.index("--gate") + 1] = f"{OUT}/reference.json"
-            path = home / OUT / "reference.json"
-    else:
-        path = home / "in/splits.json"
-        tree = {"test": ["scene-0000", "scene-0001"], "train": ["scene-0001"]}
-        argv = [
-            "data",
-            "list",
-            f"folder:{bases.folder}",
-            "--frames",
-            rng.choice(("@in/splits.json#test", "@in/splits.json")),
-        ]
-    text = json.dumps(tree_of(rng, tree) if rng.random() < 0.6 else tree).encode("utf-8", "surrogatepass")
-    path.write_bytes(bytes_of(rng, text) if rng.random() < 0.5 else text)
-    return Case(tuple(argv))
-
-
 def weights(rng: Random, bases: Bases, home: Path) -> Case:
     """A file of weights: safetensors with wrong headers, shapes or bytes."""
     from p2o_plugins.p2ornet.shipped import path_of
@@ -558,19 +436,9 @@ def weights(rng: Random, bases: Bases, home: Path) -> Case:
     else:
         data = bytes_of(rng, data[: 8 + size]) + data[8 + size :]
     (home / "in/weights.safetensors").write_bytes(data)
-    _frame(bases, home)
-    return Case(
-        (
-            "run",
-            "--data",
-            "folder:in",
-            *RUN,
-            "--extractor",
-            "p2ornet/rings",
-            "--set",
-            "image.weights=in/weights.safetensors",
-        )
-    )
+    frame_of(bases, home)
+    words = ("--extractor", "p2ornet/rings", "--set", "image.weights=in/weights.safetensors")
+    return Case(("run", "--data", "folder:in", *RUN, *words))
 
 
 def pairs(rng: Random, bases: Bases, home: Path) -> Case:
@@ -592,16 +460,22 @@ def pairs(rng: Random, bases: Bases, home: Path) -> Case:
     return Case((*argv, "--set", f"calibrator.pairs=in/pairs{suffix}"))
 
 
-def calibration(rng: Random, bases: Bases, home: Path) -> Case:
-    """A calibration file of any form, with wrong bytes or values, converted to any other."""
+def calibrations() -> dict[Any, bytes]:
+    """Return a calibration file of every form that can be written."""
     from p2o import Camera
     from p2o.calibration_files.calibration import Calibration
-    from p2o_formats.formats import FORMATS
+    from p2o_formats.formats import WRITTEN
 
-    written = {name: form for name, form in FORMATS.items() if form.write is not None}
-    name, form = rng.choice(list(written.items()))
     camera = Camera("OPENCV", 160, 96, (92.0, 93.0, 80.0, 48.0, 0.1, 0.01, 0.0, 0.001))
-    data = form.written(Calibration(camera, np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])))
+    pose = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+    return {form: form.written(Calibration(camera, pose)) for form in WRITTEN.values()}
+
+
+def calibration(rng: Random, bases: Bases, home: Path) -> Case:
+    """A calibration file of any form, with wrong bytes or values, converted to any other."""
+    written = calibrations()
+    form, data = rng.choice(list(written.items()))
+    name = form.name
     tree = None
     if form.suffix in (".json", ".yaml") and name != "opencv" and rng.random() < 0.6:
         tree = tree_of(rng, yaml.safe_load(data))
@@ -619,7 +493,7 @@ def calibration(rng: Random, bases: Bases, home: Path) -> Case:
     said = rng.choice(
         ("", "", "", "#cam0", "#P2", "?width=640&height=480", f"?camera_frame={_word(rng)}", f"#{_word(rng)}")
     )
-    to = rng.choice((*written, f"ros2?camera_frame={_word(rng)}", "ros2?form=urdf", _word(rng)))
+    to = rng.choice((*(form.name for form in written), f"ros2?camera_frame={_word(rng)}", "ros2?form=urdf", _word(rng)))
     return Case(("convert", f"in/{path.name}{said}", f"{OUT}/calibration", "--to", to))
 
 
@@ -636,13 +510,13 @@ _RIGS: tuple[dict[str, Any], ...] = (
 )
 
 
-def _frame(bases: Bases, home: Path, without: Sequence[str] = ()) -> Path:
+def frame_of(bases: Bases, home: Path, without: Sequence[str] = ()) -> Path:
     frame = home / "in/scene"
     shutil.copytree(bases.folder / "scene-0000", frame, ignore=lambda *_: without)
     return frame
 
 
-def _said(frame: Path, **values: Any) -> None:
+def said_in(frame: Path, **values: Any) -> None:
     """Change what frame.yaml says; None takes a key away."""
     path = frame / "frame.yaml"
     said = {**yaml.safe_load(path.read_text(encoding="utf-8")), **values}

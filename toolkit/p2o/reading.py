@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from p2o.files.array_file import MAX_BYTES as MAX_BYTES, read_npy as read_npy, read_npz as read_npz
     from p2o.files.file_names import folder_name as folder_name
     from p2o.files.input_file import existing_folder as existing_folder, expanded as expanded, listing as listing
-    from p2o.files.input_file import naming as naming, read_bytes as read_bytes, read_start as read_start
-    from p2o.files.input_file import read_text as read_text
+    from p2o.files.input_file import layout as layout, naming as naming, read_bytes as read_bytes
+    from p2o.files.input_file import read_start as read_start, read_text as read_text
     from p2o.files.parsed_text import parse_json as parse_json, parse_yaml as parse_yaml
     from p2o.files.whole_file import write_whole as write_whole
     from p2o.frames.direction import check_direction as check_direction

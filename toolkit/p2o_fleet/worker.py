@@ -23,9 +23,10 @@ from p2o.frames.selection import select, spread
 from p2o.problems.point_to_line import PointToLine
 from p2o.results.check import Check, CheckStatus
 from p2o.run.check import given_extrinsic
+from p2o.run.initial_guess import one_camera
 from p2o.run.pipeline import Pipeline
 from p2o.run.recipe import Plan, Recipe, open_dataset
-from p2o.run.run import frame_at, one_camera
+from p2o.run.run import frame_at
 from p2o_study.parallel import limit_threads
 from p2o_study.worker import Plugins, content_digests, portable_hash
 

@@ -19,8 +19,8 @@ from p2o.frames.selection import select
 from p2o.host.guard import GuardedDataset
 from p2o.host.registry import Registry
 from p2o.run.assembly import INPUTS
+from p2o.run.initial_guess import common_pose, listed_errors, start_of
 from p2o.run.recipe import Part, Plan, open_dataset
-from p2o.run.run import common_pose, listed_errors, start_of
 from p2o.run.words import split_data
 
 from p2o_study import worker

@@ -25,10 +25,10 @@ from p2o.geometry.perturb import Perturbation, parse_perturbation
 from p2o.host.calibration_file import read_initial_guess
 from p2o.host.registry import Registry
 from p2o.run.assembly import INPUTS
+from p2o.run.initial_guess import start_of
 from p2o.run.pipeline import Pipeline
 from p2o.run.presets import Preset, preset_of, presets
 from p2o.run.recipe import Plan, Recipe, open_dataset
-from p2o.run.run import start_of
 
 from p2o_study import ablate as studies
 from p2o_study import comparison as figures

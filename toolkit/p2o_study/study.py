@@ -27,9 +27,9 @@ from p2o.host.registry import Registry
 from p2o.host.shipped import shipped_files
 from p2o.host.slots import METHOD_WORDS, SLOTS, STAGED_WORDS, STAGES
 from p2o.options import fault_of
+from p2o.run.initial_guess import starts_of
 from p2o.run.presets import preset_of
 from p2o.run.recipe import Plan, Recipe
-from p2o.run.run import starts_of
 from p2o.run.words import data_by_name
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StrictBool, StringConstraints, ValidationError
 

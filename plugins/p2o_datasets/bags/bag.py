@@ -29,7 +29,7 @@ MAX_UNPACKED_BYTES = 512 << 20
 _UNPACKED_BYTES, _MAX_RATIO = 64 << 20, 200
 """Data larger than `_UNPACKED_BYTES` have to be plausible: real images and points are compressed by 2 to 20."""
 _METADATA = "metadata.yaml"
-_SUFFIXES = (".bag", ".mcap", ".db3")
+SUFFIXES = (".bag", ".mcap", ".db3")
 _FORMS = "a ROS 1 bag (.bag), a folder with metadata.yaml, or a file .db3 or .mcap"
 _MCAP = b"\x89MCAP0\r\n"
 _KINDS = {b"#ROSBAG ": ".bag", b"SQLite f": ".db3", _MCAP: ".mcap"}
@@ -157,7 +157,7 @@ def _files(path: Path) -> tuple[list[Path], bool]:
     if not path.is_dir():
         return [path], False
     if not (path / _METADATA).exists():
-        inside = [file.name for file in listing(path, "a bag") if file.suffix in _SUFFIXES]
+        inside = [file.name for file in listing(path, "a bag") if file.suffix in SUFFIXES]
         fault = "the folder is not a ROS 2 bag"
         hint = f"give one of its files: {path / inside[0]}" if inside else None
         raise InputError(fault, where=path, expected=_METADATA, got=", ".join(inside[:5]) or "no bag in it", hint=hint)
@@ -195,7 +195,7 @@ def _kind(file: Path) -> str:
     start = read_start(file, "bag", 8)
     if start in _KINDS:
         return _KINDS[start]
-    got = f"a file that starts with {start.hex(' ')}" if file.suffix in _SUFFIXES else f"a file '{file.name}'"
+    got = f"a file that starts with {start.hex(' ')}" if file.suffix in SUFFIXES else f"a file '{file.name}'"
     if start.startswith(b"\x28\xb5\x2f\xfd"):
         got = "a file compressed with zstd"
     raise InputError("p2o cannot read this bag", where=file, expected=_FORMS, got=got)

@@ -38,10 +38,7 @@ GREY = Material("grey", (0.3, 0.3, 0.3), reflectance=0.4)
 
 def before_a_wall(board: Board) -> Scene:
     """Return a floor and a wall with the bare board before them."""
-    still = [
-        Part(box(1.0, 60.0, -1.0, 12.0).moved(WALL_X + 0.5), GREY, 0),
-        Part(box(80.0, 80.0, -1.0, 0.0), GREY, 1),
-    ]
+    still = [Part(box(1.0, 60.0, -1.0, 12.0).moved(WALL_X + 0.5), GREY, 0), Part(box(80.0, 80.0, -1.0, 0.0), GREY, 1)]
     return Scene(tuple(still), to_sun=(-1.0, 0.4, 0.7)).plus([thing_of(board)])
 
 

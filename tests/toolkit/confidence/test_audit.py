@@ -17,7 +17,6 @@ from p2o.confidence.audit import AXES, EdgeStep, Evidence, Rates, audit, edge_st
 from p2o.confidence.explanation import explanations
 from p2o.results.check import Check, CheckStatus
 from p2o.results.evidence import Agreement
-from p2o.results.result_json import check_from_dict, check_to_dict
 from p2o.run.recipe import Recipe
 from p2o.solving import Pipeline
 
@@ -127,11 +126,6 @@ def test_what_is_asked_to_be_noticed_and_cannot_be_is_said(
     found = audit(evidence("x", 0.0), pipeline.options, Rates(notice_deg=0.001, notice_m=0.0001))
     assert {axis.holding for axis in found.axes} == {CheckStatus.CANNOT_TELL}
     assert found.holding is CheckStatus.CANNOT_TELL
-
-
-def test_a_check_comes_back_from_json_as_it_was(evidence: Callable[[str, float], Evidence], pipeline: Pipeline) -> None:
-    found = audit(evidence("x", 0.15), pipeline.options, Rates())
-    assert check_to_dict(check_from_dict(check_to_dict(found))) == check_to_dict(found)
 
 
 SURE = Agreement(0.5, 0.1, 1000, 100)

@@ -27,10 +27,7 @@ def test_the_worst_reason_decides_the_word() -> None:
     assert verdict_of(GOOD, rival(1.0), (), OPTIONS).trust is Trust.AMBIGUOUS
     assert verdict_of(GOOD, rival(2.0), (), OPTIONS).trust is Trust.TRUSTED
     both = verdict_of(POOR, rival(1.0), (), OPTIONS)
-    assert (both.trust, [r.doubt for r in both.reasons]) == (
-        Trust.DOUBTFUL,
-        [Doubt.RIVAL_POSE, Doubt.LITTLE_AGREEMENT],
-    )
+    assert (both.trust, [r.doubt for r in both.reasons]) == (Trust.DOUBTFUL, [Doubt.RIVAL_POSE, Doubt.LITTLE_AGREEMENT])
     assert Verdict((Reason(Doubt.CAMERA, "focal"),)).trust is Trust.DOUBTFUL
     assert Verdict().having(Reason(Doubt.NOT_SOLVED, "no")).trust is Trust.REFUSED
 

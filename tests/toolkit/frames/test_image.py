@@ -30,13 +30,7 @@ def test_floating_point_pixels_are_refused() -> None:
 
 @pytest.mark.parametrize("name", ["rgb", "right", "depth_m", "masked"])
 def test_a_size_that_does_not_fit_the_camera_is_refused(name: str) -> None:
-    values = {
-        "rgb": RGB,
-        "right": RGB,
-        "baseline_m": 0.5,
-        "depth_m": np.ones((5, 7)),
-        "masked": np.zeros((5, 7), bool),
-    }
+    values = {"rgb": RGB, "right": RGB, "baseline_m": 0.5, "depth_m": np.ones((5, 7)), "masked": np.zeros((5, 7), bool)}
     values[name] = values[name][:4]
     with pytest.raises(
         InputError, match=rf"the image size \({name}\) does not fit the camera; expected 7x5 px; got 7x4"

@@ -9,9 +9,9 @@ from p2o import se3
 from p2o.calibration.judge import DirectedJudge
 from p2o.geometry.pose_error import is_distinct, pose_error
 from p2o.problems.rivals import rival_poses
+from p2o.run.outcome import Run
 from p2o.run.pipeline import Pipeline
 from p2o.run.recipe import Recipe
-from p2o.run.run import Run
 from p2o.solving import Doubt
 
 STREET = "synthetic:?scenes=6&seed=9&place=street&right=false&width_px=621&height_px=188"

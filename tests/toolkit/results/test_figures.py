@@ -16,7 +16,7 @@ from p2o.results.evidence import Agreement, Judged, Rival
 from p2o.results.figures import FIGURES, Figure, accuracy_text, figure_lines, figure_values, result_lines
 from p2o.results.result import Result, Status, TimeOffset
 from p2o.results.result_json import result_from_json, result_to_json
-from p2o.run.run import Row
+from p2o.run.outcome import Row
 from p2o.solving import Accuracy
 from p2o_study.row import METRICS
 from p2o_study.rows import Rows

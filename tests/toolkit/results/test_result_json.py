@@ -19,7 +19,6 @@ from p2o.results.verdict import Doubt, Reason, Verdict
 from p2o.solving import Accuracy, Round, TimeOffset
 
 PINHOLE = Camera.pinhole(700.0, 1e3 / 3, 600.0, 180.0, 1242, 375)
-BETTER = RadialError(0.1 / 3, 0.01).corrected(PINHOLE)
 
 
 def _result(seed: int = 0) -> Result:

@@ -79,12 +79,6 @@ def test_what_needs_rings_is_refused_where_sweeps_are_joined() -> None:
         plan.check_frame(frame)
 
 
-def test_what_needs_a_sequence_is_refused_with_frames_of_none() -> None:
-    plan = Recipe.of(data=None, extractor="depth/rings", accumulate="joins").resolve(registry(Joins()))
-    with pytest.raises(InputError, match="the frame has no sequence; joins needs it"):
-        plan.check_frame(stage.frame())
-
-
 @pytest.mark.parametrize(
     ("make", "text"),
     [

@@ -18,10 +18,7 @@ from p2o.geometry.perturb import parse_perturbation
 from p2o.run.words import parse_fields, parse_settings, split_data, value_of
 
 # Letters that these languages are made of come more often than others.
-WORDS = st.one_of(
-    st.text(max_size=60),
-    st.text("0123456789.,:-+eE@#/=?&%[]{}\"'!*<>~ \n\tabcdegmnpx", max_size=60),
-)
+WORDS = st.one_of(st.text(max_size=60), st.text("0123456789.,:-+eE@#/=?&%[]{}\"'!*<>~ \n\tabcdegmnpx", max_size=60))
 _REFUSED = object()
 
 

@@ -1,13 +1,16 @@
-"""The dataset of a path, inferred from the files in it."""
+"""The dataset of a path, which the datasets of the registry recognise."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
+import p2o
 import pytest
-from p2o import InputError
-from p2o.run.data_kind import data_kind
-from p2o.run.words import data_by_name, named_data, split_data
+from p2o import InputError, Method, PluginError, Recipe
+from p2o.host.registry import Registry
+from p2o.reading import layout
+from p2o.run.words import data_by_name, data_kind, named_data, split_data
 
 LAYOUTS = {
     "folder": "a/frame.yaml",
@@ -64,11 +67,39 @@ def test_a_relative_path_needs_no_separator(tmp_path: Path, monkeypatch: pytest.
 
 
 def test_a_path_of_two_datasets_or_none_is_refused_with_the_next_step(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="the dataset is not recognised; name it: DATASET:PATH, such as folder:/"):
+    with pytest.raises(InputError, match="no dataset recognises it; name it: DATASET:PATH, such as folder:/"):
         data_kind(tmp_path)
     for kind in ("folder", "ros"):
         laid_out(tmp_path, LAYOUTS[kind])
     with pytest.raises(InputError, match="could be of several datasets: folder, ros; name it: DATASET:PATH"):
         data_kind(tmp_path)
-    with pytest.raises(InputError, match="no such folder"):
+    with pytest.raises(InputError, match="no such file or folder"):
         named_data("/no/such/folder")
+
+
+class Recordings:
+    """The plugin of a third party, whose dataset recognises its own folders and fails on others."""
+
+    def __init__(self, recognises: Any) -> None:
+        self.recognises = recognises
+
+    @p2o.hookimpl
+    def p2o_datasets(self) -> list[Method]:
+        return [Method(name="recordings", build=list, summary="Recordings.", recognises=self.recognises)]
+
+
+def test_the_dataset_of_a_plugin_recognises_its_own_folder(tmp_path: Path) -> None:
+    laid_out(tmp_path, "drive/sweeps.rec")
+    registry = Registry.of(Recordings(layout("*/sweeps.rec")))
+    assert split_data(str(tmp_path), registry) == ("recordings", {"root": str(tmp_path)})
+    with pytest.raises(InputError, match="no dataset recognises it"):
+        data_kind(tmp_path)  # installed plugins do not
+    with pytest.raises(InputError, match="no dataset recognises it"):
+        named_data(str(tmp_path / "drive"), registry)
+    with pytest.raises(InputError, match="dataset recordings takes no path"):
+        Recipe(data=str(tmp_path)).resolve(registry)
+
+
+def test_a_dataset_that_fails_to_recognise_a_path_is_named(tmp_path: Path) -> None:
+    with pytest.raises(PluginError, match="dataset 'recordings' raised ZeroDivisionError while recognising"):
+        data_kind(tmp_path, Registry.of(Recordings(lambda path: 1 / 0)))

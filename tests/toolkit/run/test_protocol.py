@@ -12,8 +12,8 @@ from p2o import InputError, UnknownNameError, se3
 from p2o.cli import main
 from p2o.geometry.perturb import parse_perturbation
 from p2o.geometry.pose_error import pose_metrics
+from p2o.run.initial_guess import starts_of
 from p2o.run.protocol import PROTOCOLS, protocol_of
-from p2o.run.run import starts_of
 from p2o_study.study import parse_study
 from p2o_study.summary import summarised
 from p2o_study.tables import terminal_text

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from p2o import InputError, Result, Status, se3
 from p2o.geometry.pose_error import PoseError, pose_error
-from p2o.run.run import FailedFrame, Row, Run
+from p2o.run.outcome import FailedFrame, Row, Run
 
 
 def error(shift_m: float) -> PoseError:

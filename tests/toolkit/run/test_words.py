@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from p2o import InputError, UnknownNameError
-from p2o.run import recipe, words
+from p2o.run import words
 from p2o.run.words import NamedData, data_by_name, parse_fields, parse_settings
 
 
@@ -71,8 +71,3 @@ def test_an_option_of_data_is_said_once() -> None:
 def test_a_field_that_cannot_be_read_is_told_with_an_example(text: str) -> None:
     with pytest.raises(InputError, match="--set: cannot read the setting; expected FIELD=VALUE: rate=1; got"):
         parse_fields([text], example="rate=1")
-
-
-def test_the_words_are_still_found_beside_the_recipe() -> None:
-    for name in ("parse_settings", "split_data", "value_of"):
-        assert getattr(recipe, name) is getattr(words, name)

@@ -191,8 +191,8 @@ class _Model:
         numbers = [[motion.speed_m_s, motion.turn_rad_s] for motion in motions] if prior is not None else []
         by_time = np.zeros((len(problem), 3))
         if time is not None and twists is not None:
-            its = np.asarray(twists, np.float64)[problem.frame]
-            by_time = -(np.cross(its[:, :3], problem.xyz) + its[:, 3:])
+            velocity = np.asarray(twists, np.float64)[problem.frame]
+            by_time = -(np.cross(velocity[:, :3], problem.xyz) + velocity[:, 3:])
         asked = tuple(correctable) if fits_cameras else ()
         weights = np.ones(len(problem.cameras)) if weights is None else weights
         return cls(problem, errors, asked, by_shared, prior, np.reshape(numbers, (-1, 2)), time, by_time, weights)
@@ -351,8 +351,8 @@ def _by_error(problem: PointToLine, pose: Float, errors: Mapping[Camera, RadialE
     rows = np.zeros((len(problem), 2 * len(errors)))
     xyz = se3.apply(pose, problem.xyz)
     for i, (camera, error) in enumerate(errors.items()):
-        its = np.array([other == camera for other in problem.cameras])
-        mine = np.flatnonzero(its[problem.frame])
+        of_camera = np.array([other == camera for other in problem.cameras])
+        mine = np.flatnonzero(of_camera[problem.frame])
         slope = slopes(camera, error, xyz[mine])
         rows[mine, 2 * i : 2 * i + 2] = np.einsum("ka,kap->kp", problem.normal[mine], slope)
     return rows
@@ -386,10 +386,10 @@ def _by_frame(problem: PointToLine, rows: Float, own: Any, residuals: Float, wei
     _, frame = np.unique(problem.frame, return_inverse=True)
     score = _summed(problem, rows, own, residuals, frame.reshape(-1))
     out = np.zeros_like(inverse)
-    for number, its in enumerate(score):
+    for number, gradient in enumerate(score):
         mine = np.flatnonzero(frame.reshape(-1) == number)
         share = _normal(rows[mine], own[mine], weight[mine]) @ inverse
-        freed = np.linalg.lstsq(np.eye(len(share)) - share, its, rcond=None)[0]
+        freed = np.linalg.lstsq(np.eye(len(share)) - share, gradient, rcond=None)[0]
         out += np.outer(freed, freed)
     return out * (1 - 1 / len(score))
 

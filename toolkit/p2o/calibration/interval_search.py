@@ -35,13 +35,7 @@ def most_likely_pose(views: Sequence[View], start: Float, proposals: Sequence[Fl
     first = np.array([se3.log(pose @ se3.inverse(start)) / _UNIT for pose in proposals]).reshape(-1, 6)
     for sigma_px, population, generations in _LEVELS:
         likelihood = IntervalLikelihood.of(
-            views,
-            start,
-            sigma_px,
-            margin_px=_MARGIN_PX,
-            max_points=_MAX_POINTS,
-            max_views=_MAX_VIEWS,
-            shares=shares,
+            views, start, sigma_px, margin_px=_MARGIN_PX, max_points=_MAX_POINTS, max_views=_MAX_VIEWS, shares=shares
         )
         if not likelihood.points:
             return start

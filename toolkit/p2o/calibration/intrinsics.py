@@ -263,11 +263,11 @@ class _Field:
     @cached_property
     def rows_of_cameras(self) -> tuple[tuple[Camera, int | None, slice], ...]:
         """The cameras of the parts, their numbers, None for those that stay as given, and their points."""
-        its: dict[Camera, slice] = {}  # the parts of a camera follow one another
+        rows_of: dict[Camera, slice] = {}  # the parts of a camera follow one another
         for part, rows in zip(self.cost.parts, self.rows, strict=True):
-            its[part.camera] = slice(its.get(part.camera, rows).start, rows.stop)
+            rows_of[part.camera] = slice(rows_of.get(part.camera, rows).start, rows.stop)
         numbers = {camera: number for number, camera in enumerate(self.cameras)}
-        return tuple((camera, numbers.get(camera), rows) for camera, rows in its.items())
+        return tuple((camera, numbers.get(camera), rows) for camera, rows in rows_of.items())
 
     def seen(self, state: _State) -> _Seen:
         """Return what the cameras see in a state."""
@@ -312,12 +312,7 @@ class _Field:
         return out
 
     def fit(
-        self,
-        start: _State,
-        precision: Float | None = None,
-        *,
-        count: int | None = None,
-        iterations: int = _ITERATIONS,
+        self, start: _State, precision: Float | None = None, *, count: int | None = None, iterations: int = _ITERATIONS
     ) -> _State:
         """Return the state of the smallest mean distance near another one.
 
@@ -367,7 +362,7 @@ class _Field:
             cell = np.floor(np.nan_to_num(camera.project(xyz[rows]), nan=-1.0) / OUTLINE_CELL_PX).astype(np.int64)
             keys.append(np.column_stack([self.part_of[rows], np.full(len(cell), number), self.side[rows], cell]))
         key = np.concatenate(keys)
-        own, common = (np.unique(its, axis=0, return_inverse=True)[1].reshape(-1) for its in (key, key[:, 1:]))
+        own, common = (np.unique(k, axis=0, return_inverse=True)[1].reshape(-1) for k in (key, key[:, 1:]))
         return own, common
 
     def evidence(self, before: _State, after: _State, cells: tuple[Int, Int]) -> float:
@@ -378,7 +373,7 @@ class _Field:
         assert before.distances is not None
         assert after.distances is not None
         gain = self.weight * (before.distances - after.distances)
-        deviation = max(float(np.linalg.norm(np.bincount(its, gain))) for its in cells)
+        deviation = max(float(np.linalg.norm(np.bincount(cell, gain))) for cell in cells)
         return float(gain.sum() / max(deviation, np.finfo(float).tiny))
 
     def noise(self, state: _State) -> float:
@@ -409,8 +404,8 @@ class _Field:
         prior = np.diag(precision)[first:].reshape(-1, 4)
         fits, errors = [], np.where(prior < _FIXED, best.errors, 0.0)
         for index, camera in enumerate(self.cameras):
-            its = slice(first + 4 * index, first + 4 * (index + 1))
-            covariance = scatter[its, its] + np.diag(_SYSTEMATIC**2)
+            rows = slice(first + 4 * index, first + 4 * (index + 1))
+            covariance = scatter[rows, rows] + np.diag(_SYSTEMATIC**2)
             fits.append(IntrinsicFit(camera, _error(errors[index], camera), covariance, evidence))
         # The pose follows unnoticed errors of the cameras: those of a usual calibration, as far as edges allow them,
         # and estimated ones that exceed their scatter but are too small to be significant.

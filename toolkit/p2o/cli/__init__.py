@@ -30,8 +30,6 @@ _COMMANDS = {
     "data": "List, check, show or select the frames of a dataset, or list the topics of a bag.",
 }
 """Name and one-line help of the commands of this package; the code of `a-b` is in `p2o.cli.a_b`, as `command`."""
-_SYNONYMS = {"check-plugin": "p2o_testing.cli.plugin_check", "plugins": "p2o.cli.plugin_list"}
-"""Modules of commands of the group `plugin` under a name of their own, which no help lists."""
 COMMAND_GROUP = "p2o.commands"
 """Entry points of packages that add commands: each names a mapping of names to one-line helps in `PACKAGE.commands`."""
 
@@ -105,8 +103,6 @@ class _Commands(click.Group):
         return list(command_helps())
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if cmd_name in _SYNONYMS:
-            return load_command(_SYNONYMS[cmd_name])
         if cmd_name in _COMMANDS:
             return load_command(f"p2o.cli.{cmd_name.replace('-', '_')}")
         added = added_commands().get(cmd_name)

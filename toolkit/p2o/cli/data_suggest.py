@@ -90,8 +90,10 @@ def command(
         return 0 if enough is not False else 1
     click.echo(f"{len(evaluated)} of {total} frames evaluated; predicted errors (67 %) after each:")
     for step in steps:
-        its = step.accuracy
-        size = "not observable" if its is None else f"{its.rotation_deg:.2f} deg {its.translation_m:.3f} m"
+        accuracy = step.accuracy
+        size = (
+            "not observable" if accuracy is None else f"{accuracy.rotation_deg:.2f} deg {accuracy.translation_m:.3f} m"
+        )
         click.echo(f"  {size}  {printable(step.name)}: {step.places} new places with edges")
     click.echo(_conclusion(wanted, enough, still, why, all_taken=len(steps) == len(evaluated)))
     click.echo(f"p2o run --data {quote(printable(data, 500))} --frames {spec} --joint")
@@ -118,8 +120,8 @@ def _evaluated(recipe: Recipe, most: int, pose: Which, registry: Registry) -> tu
     from p2o.frames.selection import select, spread
     from p2o.problems.point_to_line import PointToLine
     from p2o.run.given_pose import GivenPose
+    from p2o.run.initial_guess import listed_errors, one_camera
     from p2o.run.pipeline import Pipeline
-    from p2o.run.run import listed_errors, one_camera
 
     plan = recipe.resolve(registry)
     dataset, pipeline = plan.dataset(), plan.assembly().calibrator

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from p2o.frames.frame import Frame
     from p2o.geometry.camera import Camera
     from p2o.results.result import Result, RigResult
-    from p2o.run.run import Progress, Run
+    from p2o.run.outcome import Run
+    from p2o.run.run import Progress
 
 
 _POSES = ("before", "after", "common")

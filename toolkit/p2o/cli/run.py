@@ -10,12 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from p2o.cli.completion import (
-    complete_exports,
-    complete_extractors,
-    complete_methods,
-    complete_protocols,
-)
+from p2o.cli.completion import complete_exports, complete_extractors, complete_methods, complete_protocols
 from p2o.cli.json_output import json_option, print_json
 from p2o.cli.plugin_options import (
     data_argument,
@@ -35,8 +30,9 @@ if TYPE_CHECKING:
     from p2o.host.registry import Registry
     from p2o.host.stages import Exporter
     from p2o.results.result import Result, RigResult
+    from p2o.run.outcome import FailedFrame, Row, Run
     from p2o.run.recipe import Plan
-    from p2o.run.run import FailedFrame, Progress, Row, Run
+    from p2o.run.run import Progress
 
 
 @click.command("run", cls=StartCommand)
@@ -212,24 +208,18 @@ def command(
 
 
 def _plan(words: Mapping[str, Any], settings: Sequence[str], registry: Registry) -> Plan:
-    """Return the plan of the words that are given on the command line, with a preset and the options in `settings`."""
+    """Return the plan of the words that are given on the command line, and of the options in `settings`."""
     from p2o.geometry.perturb import parse_accuracy
-    from p2o.run.presets import preset_of
-    from p2o.run.recipe import Recipe
-    from p2o.run.run import starts_of
+    from p2o.run.run import planned
     from p2o.run.words import parse_settings
 
     given = {name: value for name, value in words.items() if value is not None}
-    if (protocol := given.pop("protocol", None)) is not None:
-        given["perturb"] = starts_of(protocol, given.get("perturb"), "--protocol")
     if (sigma := given.pop("start_sigma", None)) is not None:
         known = parse_accuracy(sigma, "--start-sigma")
         settings = (*settings, f"pipeline.start_sigma=[{known.angle_deg}, {known.distance_m}]")
     if settings:
         given["options"] = parse_settings(settings)
-    if (method := given.pop("method", None)) is not None:
-        given = preset_of(method, registry).merged(given)
-    return Recipe.of(**given).resolve(registry)
+    return planned(given, registry, "--protocol")
 
 
 @dataclass
@@ -330,8 +320,9 @@ def _calibrated(
     `isolate` are plugins to leave out and files of plugins for a worker process, None for this process.
     """
     from p2o.run.isolated import isolated
+    from p2o.run.outcome import Run
     from p2o.run.protocol import protocol_of
-    from p2o.run.run import Run, run
+    from p2o.run.run import run
 
     interrupted, common = False, None
     problem: Exception | None = None

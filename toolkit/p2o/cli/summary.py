@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from p2o.arrays import Float
     from p2o.geometry.pose_error import PoseError
     from p2o.results.result import Result, RigResult
-    from p2o.run.run import FailedFrame, Row, Run
+    from p2o.run.outcome import FailedFrame, Row, Run
 
 
 MOST_LINES = 8

@@ -80,7 +80,7 @@ def ring_gaps(problem: PointToLine, camera_from_lidar: Float) -> Float:
     level = np.abs(problem.normal[:, 1]) > np.abs(problem.normal[:, 0])
     angle = problem.sigma_px / focal_px
     upright_rad, level_rad = (
-        float(np.median(angle[its & near])) if (its & near).any() else 0.0 for its in (~level, level)
+        float(np.median(angle[rows & near])) if (rows & near).any() else 0.0 for rows in (~level, level)
     )
     harmonic_m = 1.0 / float(np.mean(1.0 / depth_m[near]))
     turns = (level_rad, upright_rad, max(level_rad, upright_rad))
@@ -108,8 +108,8 @@ def shift_covariance(problem: PointToLine, camera_from_lidar: Float, shift_px: F
     if not len(problem):
         return np.zeros((6, 6))
     residuals, rows = problem.residuals_with_jacobian(camera_from_lidar)
-    seen = np.isfinite(residuals) & np.isfinite(rows).all(axis=1)
-    residuals, rows = np.where(seen, residuals, 0.0), np.where(seen[:, None], rows, 0.0)
+    visible = np.isfinite(residuals) & np.isfinite(rows).all(axis=1)
+    residuals, rows = np.where(visible, residuals, 0.0), np.where(visible[:, None], rows, 0.0)
     weight = problem.weight * problem.huber_px / np.maximum(np.abs(residuals), problem.huber_px)
     inverse = np.linalg.pinv((rows * weight[:, None]).T @ rows)
     shift = (weight * shift_px)[:, None] * rows

@@ -199,7 +199,7 @@ def judged_of(estimate: Estimate, pose: Float) -> Judged:
 def remarks_of(views: Sequence[View]) -> tuple[str, ...]:
     """Return the remarks of the cloud extractors on the sweeps, each with the name of its frame."""
     remarks = ((view.name, view.get(CloudRemarks.word)) for view in views)
-    return tuple(f"{name}: {text}" for name, its in remarks if its is not None for text in its.texts)
+    return tuple(f"{name}: {text}" for name, remark in remarks if remark is not None for text in remark.texts)
 
 
 def _with_prior(
@@ -250,10 +250,10 @@ def witnessed(
     if agreement is None and result.agreement is not None:
         return result
     replaced = (Doubt.NOT_CHECKED, Doubt.LITTLE_AGREEMENT)
-    kept = tuple(reason for reason in result.verdict.reasons if reason.doubt not in replaced)
-    known = {reason.doubt for reason in kept}
+    reasons = tuple(reason for reason in result.verdict.reasons if reason.doubt not in replaced)
+    known = {reason.doubt for reason in reasons}
     own = [reason for reason in accuracy_doubts(result.accuracy, options) if reason.doubt not in known]
-    verdict = Verdict((*kept, *agreement_doubts(agreement, options), *own))
+    verdict = Verdict((*reasons, *agreement_doubts(agreement, options), *own))
     if verdict.trusted and algorithm is not None:
         verdict = Verdict((*verdict.reasons, *_position_doubts(result, views, algorithm)))
     return replace(result, agreement=agreement, verdict=verdict)

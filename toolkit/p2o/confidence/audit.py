@@ -111,12 +111,12 @@ def edge_step(
         if fit.step_px < _STILL_PX and reach <= options.min_reach_px:
             break
         reach = max(options.min_reach_px, reach * options.shrink)
-    seen = nuisance.views(raw)
-    problem = matcher(seen, pose, options.min_reach_px)
+    corrected = nuisance.views(raw)
+    problem = matcher(corrected, pose, options.min_reach_px)
     if not _enough(problem, options):
         return _TOO_FEW
     last = nuisance.fit(problem, cameras, pose, fits_cameras=options.camera != "trust")
-    agreed = agreement_of(seen, pose)
+    agreed = agreement_of(corrected, pose)
     if last.covariance is None or agreed is None:
         return _NO_COVARIANCE
     different = view_count(problem.xyz, problem.side, problem.frame)
@@ -137,19 +137,19 @@ def _interval_step(
     raw: Sequence[View], nuisance: Nuisance, given: Float, begin: Float, matcher: Matcher, options: PipelineOptions
 ) -> EdgeStep | str:
     """Estimate the pose of the highest interval likelihood, by a search around `begin` (4, 4)."""
-    seen = nuisance.views(raw)
-    pose = most_likely_pose(seen, begin, [begin])
-    problem = matcher(seen, pose, options.min_reach_px)
+    corrected = nuisance.views(raw)
+    pose = most_likely_pose(corrected, begin, [begin])
+    problem = matcher(corrected, pose, options.min_reach_px)
     if not _enough(problem, options):
         return _TOO_FEW
     if nuisance.prior is not None:
         fit = nuisance.fit(problem, tuple(view.camera for view in raw), pose, fits_cameras=False)
-        seen = nuisance.after(fit).views(raw)
-    judge = IntervalJudge.of(seen, begin, [begin, pose])
+        corrected = nuisance.after(fit).views(raw)
+    judge = IntervalJudge.of(corrected, begin, [begin, pose])
     pose = judge.maximised(pose)
     if _is_far(begin, pose):
         return _TOO_FAR
-    agreed = judge.agreement(seen, pose)
+    agreed = judge.agreement(corrected, pose)
     if not judge.likelihood.points or agreed is None:
         return _NO_COVARIANCE
     different = view_count(problem.xyz, problem.side, problem.frame)

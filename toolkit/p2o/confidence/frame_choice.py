@@ -48,8 +48,8 @@ class SeenEdges:
     def _seen(self) -> tuple[Float, Float]:
         """Derivatives (K, 6) and weights (K,) of the pairs; zero for points outside the view of the camera."""
         residuals, rows = self.problem.residuals_with_jacobian(self.camera_from_lidar)
-        seen = np.isfinite(residuals) & np.isfinite(rows).all(axis=1)
-        return np.where(seen[:, None], rows, 0.0), np.where(seen, self.problem.weight, 0.0)
+        visible = np.isfinite(residuals) & np.isfinite(rows).all(axis=1)
+        return np.where(visible[:, None], rows, 0.0), np.where(visible, self.problem.weight, 0.0)
 
     @cached_property
     def depth_m(self) -> Float:
@@ -183,7 +183,7 @@ _WORDS |= {"x_m": "the place to the side", "y_m": "height", "z_m": "the place al
 def shortage(chosen: Sequence[SeenEdges], words: Sequence[str]) -> str:
     """Explain why these axes are weakly observable, by the direction, distance and image position of the edges."""
     sides = np.array([place[0] for frame in chosen for place in frame.places])
-    level, upright = (int(np.isin(sides, its).sum()) for its in (LEVEL, UPRIGHT))
+    level, upright = (int(np.isin(sides, group).sum()) for group in (LEVEL, UPRIGHT))
     near = sum(len(np.unique(f._labels[1][f.depth_m < NEAR_M])) for f in chosen)
     reasons = []
     if len(words) > len(_WORDS) // 2:

@@ -105,10 +105,7 @@ def accuracy_doubts(accuracy: Accuracy | None, options: PipelineOptions) -> list
     """Return a reason for doubt where the 95 % bound of the predicted error exceeds the limits of the options."""
     if accuracy is None:
         return []
-    bounds = (
-        (accuracy.rotation_deg_95, options.most_deg, "deg"),
-        (accuracy.translation_m_95, options.most_m, "m"),
-    )
+    bounds = ((accuracy.rotation_deg_95, options.most_deg, "deg"), (accuracy.translation_m_95, options.most_m, "m"))
     wide = [f"{value:.2f} {unit} exceeds {most:g} {unit}" for value, most, unit in bounds if value > most]
     return [Reason(Doubt.TOO_UNSURE, f"the predicted error (95 %) of {' and of '.join(wide)}")] if wide else []
 

@@ -70,14 +70,14 @@ def watched(names: Sequence[str], steps: Sequence[EdgeStep | None], rule: Rule) 
     while begin < len(names):
         values = beside_mean(innovations(standard[begin:], correlation))
         values[: rule.settle] = np.nan
-        seen = charts(values, rule.slack)
-        over = np.flatnonzero((np.maximum(seen.up, seen.down) > limit).any(axis=1))
+        sums = charts(values, rule.slack)
+        over = np.flatnonzero((np.maximum(sums.up, sums.down) > limit).any(axis=1))
         alarm = int(over[0]) if len(over) else None
         last = len(values) if alarm is None else alarm + 1
-        level += [_frame(names[begin + at], seen, at, values, limit) for at in range(last)]
+        level += [_frame(names[begin + at], sums, at, values, limit) for at in range(last)]
         if alarm is None:
             break
-        slips.append(_slip(names, seen, alarm, begin, errors, sigma, correlation))
+        slips.append(_slip(names, sums, alarm, begin, errors, sigma, correlation))
         begin += last
     return Watched(tuple(level), tuple(slips), detectable(sigma, correlation, rule), correlation, limit)
 
@@ -120,26 +120,26 @@ def _mean(errors: Float, sigma: Float) -> Float:
     return np.where(total > 0, (weight * np.nan_to_num(errors)).sum(axis=0) / np.where(total > 0, total, 1.0), 0.0)
 
 
-def _frame(name: str, seen: Charts, at: int, values: Float, limit: float) -> WatchedFrame:
+def _frame(name: str, sums: Charts, at: int, values: Float, limit: float) -> WatchedFrame:
     if np.isnan(values[at]).all():
         return WatchedFrame(name)
-    highest = np.maximum(seen.up[at], seen.down[at])
+    highest = np.maximum(sums.up[at], sums.down[at])
     return WatchedFrame(name, float(highest.max() / limit), AXES[int(highest.argmax())][0])
 
 
 def _slip(
-    names: Sequence[str], seen: Charts, alarm: int, begin: int, errors: Float, sigma: Float, correlation: float
+    names: Sequence[str], sums: Charts, alarm: int, begin: int, errors: Float, sigma: Float, correlation: float
 ) -> Slip:
     """Estimate the slip of an alarm: its onset is where the sum last left zero, its size is the change of the mean."""
-    highest = np.maximum(seen.up[alarm], seen.down[alarm])
+    highest = np.maximum(sums.up[alarm], sums.down[alarm])
     axis = int(highest.argmax())
-    since = seen.up_since if seen.up[alarm, axis] >= seen.down[alarm, axis] else seen.down_since
+    since = sums.up_since if sums.up[alarm, axis] >= sums.down[alarm, axis] else sums.down_since
     began, noticed = begin + int(since[alarm, axis]), begin + alarm
-    before, its = slice(begin, began), slice(began, noticed + 1)
-    size = float((_mean(errors[its], sigma[its]) - _mean(errors[before], sigma[before]))[axis])
+    before, after = slice(begin, began), slice(began, noticed + 1)
+    size = float((_mean(errors[after], sigma[after]) - _mean(errors[before], sigma[before]))[axis])
     # Correlated values contain less information than the same number of independent values.
     wider = (1 + correlation) / (1 - correlation)
-    known = [sigma[part, axis][np.isfinite(sigma[part, axis])] for part in (before, its)]
+    known = [sigma[part, axis][np.isfinite(sigma[part, axis])] for part in (before, after)]
     spread = float(np.sqrt(wider * sum(float(1 / (1 / own**2).sum()) for own in known)))
     return Slip(*AXES[axis], noticed, names[noticed], began, names[began], size, spread)
 

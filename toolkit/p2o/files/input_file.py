@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from itertools import islice, pairwise
 from pathlib import Path
@@ -118,6 +118,25 @@ def listing(folder: Path, what: str) -> list[Path]:
     except OSError as problem:
         text = f"the folder of {what} cannot be read"
         raise InputError(text, where=folder, got=problem.strerror or problem) from problem
+
+
+def layout(*patterns: str) -> Callable[[Path], bool]:
+    """Return a function that tests whether a folder has a file or folder of one of these patterns (`Path.glob`).
+
+    The first part of a pattern that begins with ../ is matched with the name of the folder itself.
+    """
+
+    def recognises(folder: Path) -> bool:
+        return folder.is_dir() and any(_has(folder, pattern) for pattern in patterns)
+
+    return recognises
+
+
+def _has(folder: Path, pattern: str) -> bool:
+    if pattern.startswith("../"):
+        own_name, _, rest = pattern[3:].partition("/")
+        return folder.resolve().match(own_name) and (folder / rest).exists()
+    return next(folder.glob(pattern), None) is not None
 
 
 def nearest(path: Path) -> str | None:

@@ -70,8 +70,8 @@ def _every(cloud: Cloud, step: int, where: str) -> Cloud:
         text = f"keeping every {step}. ring leaves one ring"
         raise InputError(text, where=where, expected=f"keep_rings < {count}, the number of rings", got=step)
     rank = _from_top(label, cloud.as_measured())[label]
-    kept = rank % step == 0
-    return replace(cloud.select(kept), ring=rank[kept] // step)
+    chosen = rank % step == 0
+    return replace(cloud.select(chosen), ring=rank[chosen] // step)
 
 
 def _from_top(label: Int, xyz: Float) -> Int:

@@ -193,8 +193,8 @@ class Camera:
         flat = np.ascontiguousarray(xyz.reshape(-1, 3))
         uv = np.array(self._colmap.img_from_cam(flat), dtype=np.float64)
         with np.errstate(invalid="ignore"):
-            seen = (flat[:, 2] > _MIN_DEPTH_M) & (np.hypot(flat[:, 0], flat[:, 1]) <= self._max_tangent * flat[:, 2])
-        uv[~seen] = np.nan
+            visible = (flat[:, 2] > _MIN_DEPTH_M) & (np.hypot(flat[:, 0], flat[:, 1]) <= self._max_tangent * flat[:, 2])
+        uv[~visible] = np.nan
         return uv.reshape(*xyz.shape[:-1], 2)
 
     def pixels_of(self, x: Float, y: Float, z: Float) -> tuple[Float, Float]:

@@ -187,12 +187,12 @@ def _counted(names: Sequence[str], path: Path) -> list[int]:
     numbers = [int(tail) for tail in tails]
     if len(set(heads)) <= 1:
         return numbers
-    seen: dict[str, int] = {}
+    used: dict[str, int] = {}
     for head, number, name in zip(heads, numbers, names, strict=True):
-        if number != seen.get(head, 0):
+        if number != used.get(head, 0):
             text = "the lines cannot be assigned to frames of several sequences with gaps"
             expected = "lines with names of frames, or frames of one sequence"
-            got = f"frame {name} after {seen.get(head, 0)} of its sequence"
+            got = f"frame {name} after {used.get(head, 0)} of its sequence"
             raise InputError(text, where=path, expected=expected, got=got)
-        seen[head] = number + 1
+        used[head] = number + 1
     return list(range(len(names)))

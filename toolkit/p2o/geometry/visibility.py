@@ -23,9 +23,9 @@ def hidden(xyz: Float, surface: Float, camera: Camera, camera_from_lidar: Float,
     shape = (int(camera.height // cell_px) + 1, int(camera.width // cell_px) + 1)
     nearest = np.full(shape, np.inf)
     uv = camera.project(samples)
-    seen = camera.in_image(uv)
-    rows, columns = _cells(uv[seen], cell_px, shape)
-    np.minimum.at(nearest, (rows, columns), np.linalg.norm(samples[seen], axis=1))
+    visible = camera.in_image(uv)
+    rows, columns = _cells(uv[visible], cell_px, shape)
+    np.minimum.at(nearest, (rows, columns), np.linalg.norm(samples[visible], axis=1))
     # Windows of three cells to one side and three rows; the shift excludes the point's own cell.
     left = minimum_filter(nearest, size=(3, 3), origin=(0, 1), mode="constant", cval=np.inf)
     right = minimum_filter(nearest, size=(3, 3), origin=(0, -1), mode="constant", cval=np.inf)

@@ -134,6 +134,7 @@ class Method:
     data_files: Callable[[Any], Iterable[Path]] | None = None
     data_licence: Callable[[Any], str] | None = None
     rings: Callable[[Cloud], tuple[Int, str] | None] | None = None
+    recognises: Callable[[Path], bool] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "needs", frozenset(self.needs))

@@ -167,10 +167,10 @@ class Registry:
         host.add_hookspecs(hookspecs)
         good: list[Plugin] = []
         bad: list[Broken] = []
-        seen: set[str] = set()
+        names: set[str] = set()
         for source in sources:
             try:
-                if source.name in seen:
+                if source.name in names:
                     raise PluginError(f"two plugins are called {source.name}", expected="one entry point of a name")
                 with _same_process():
                     good.append(_register(host, source))
@@ -181,7 +181,7 @@ class Registry:
             # A plugin that calls sys.exit() on import must not end the program that only lists it.
             except BaseException as problem:
                 # pluggy keeps a plugin that fails validation half registered: its other hooks would still answer.
-                if source.name not in seen and host.has_plugin(source.name):
+                if source.name not in names and host.has_plugin(source.name):
                     host.unregister(name=source.name)
                 reason = _one_line(problem)
                 if strict or source.forced:
@@ -189,7 +189,7 @@ class Registry:
                     raise PluginError(text, got=reason, hint=hint) from problem
                 bad.append(Broken(source.dist, source.version, source.entry, reason))
                 print(f"p2o: warning: plugin {source.name} left out: {reason}", file=sys.stderr)
-            seen.add(source.name)
+            names.add(source.name)
         return cls(tuple(good), tuple(bad), tuple(blocked))
 
     @cached_property

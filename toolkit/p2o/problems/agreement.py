@@ -52,9 +52,9 @@ def agreement(views: Sequence[View], camera_from_lidar: Float) -> Agreement:
             points += len(v)
             if number in by_side:
                 by_side[number] += counts
-            its = np.flatnonzero(side == number)[meets[v, u]]
-            places += len(np.unique(np.floor(uv[its] / OUTLINE_CELL_PX), axis=0))
-            met_at.append((xyz[its], side[its], np.full(len(its), number_of_view)))
+            rows = np.flatnonzero(side == number)[meets[v, u]]
+            places += len(np.unique(np.floor(uv[rows] / OUTLINE_CELL_PX), axis=0))
+            met_at.append((xyz[rows], side[rows], np.full(len(rows), number_of_view)))
     if not points:
         return Agreement(0.0, 0.0, 0)
     # A static rig matches the same edges again: only the share of distinct views counts.
@@ -79,7 +79,7 @@ def _least(by_side: Mapping[Side, Float]) -> tuple[float | None, str]:
     }
     if not judged:
         return None, ""
-    side = min(judged, key=lambda its: judged[its])
+    side = min(judged, key=lambda number: judged[number])
     return judged[side], side.letter
 
 

@@ -278,22 +278,22 @@ class DirectedCost:
 
         Pixels outside the image and NaN have the mean distance of the direction.
         """
-        its = self.parts[part]
+        own = self.parts[part]
         u, v = self._cells(uv)
-        values = np.minimum(interpolated(its.maps, u, v, its.first_cell), self.truncate_px)
-        return np.where(_inside(its.maps, u, v), values, its.neutral_of_points)
+        values = np.minimum(interpolated(own.maps, u, v, own.first_cell), self.truncate_px)
+        return np.where(_inside(own.maps, u, v), values, own.neutral_of_points)
 
     def slopes(self, part: int, uv: Float) -> Float:
         """Return the derivatives (2, N) of `sampled` by pixels (N, 2): central differences over one cell each way."""
-        its = self.parts[part]
-        height, width = its.maps.shape[1:]
-        last, at, flat = np.array([[width - 1], [height - 1]], np.float32), self._cells(uv), its.maps.reshape(-1)
+        own = self.parts[part]
+        height, width = own.maps.shape[1:]
+        last, at, flat = np.array([[width - 1], [height - 1]], np.float32), self._cells(uv), own.maps.reshape(-1)
         # Outside the map anything is read, but not used.
         cell = np.floor(np.maximum(np.minimum(at, last + 2), np.float32(-2.0)))
         u, v = at - cell
         column, row = cell.astype(np.intp)
         columns = [np.maximum(np.minimum(column + step, width - 1), 0) for step in range(-1, 3)]
-        rows = [np.maximum(np.minimum(row + step, height - 1), 0) * width + its.first_cell for step in range(-1, 3)]
+        rows = [np.maximum(np.minimum(row + step, height - 1), 0) * width + own.first_cell for step in range(-1, 3)]
 
         def across(row: int, column: int) -> Float32:
             left = flat.take(rows[row] + columns[column])
@@ -307,7 +307,7 @@ class DirectedCost:
         ends = []
         for step in (1, -1):
             values = np.minimum([value(1, 1 + step), value(1 + step, 1)], self.truncate_px)
-            ends.append(np.where((at >= -step) & (at <= last - step) & inside, values, its.neutral_of_points))
+            ends.append(np.where((at >= -step) & (at <= last - step) & inside, values, own.neutral_of_points))
         return np.asarray(ends[0] - ends[1]) / (2 * self.scale)
 
     def _cells(self, uv: Float) -> Float32:

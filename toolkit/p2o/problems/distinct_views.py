@@ -85,10 +85,10 @@ def weighted(views: Sequence[View], camera_from_lidar: Float) -> list[View]:
     xyz, side, frame = [np.zeros((0, 3))], [np.zeros(0, np.int8)], [np.zeros(0, np.int64)]
     for number, view in enumerate(views):
         for places, sides in _features(view):
-            seen = view.camera.in_image(view.camera.project(se3.apply(camera_from_lidar, places)), _MARGIN_PX)
-            xyz.append(places[seen])
-            side.append(sides[seen])
-            frame.append(np.full(int(seen.sum()), number))
+            visible = view.camera.in_image(view.camera.project(se3.apply(camera_from_lidar, places)), _MARGIN_PX)
+            xyz.append(places[visible])
+            side.append(sides[visible])
+            frame.append(np.full(int(visible.sum()), number))
     same = _SAME_EDGES if any(len(view.cloud_edges) for view in views) else _SAME_POINTS
     columns = np.concatenate(xyz), np.concatenate(side), np.concatenate(frame)
     distinct = DistinctViews.of(*columns, len(views), same_scene=same)

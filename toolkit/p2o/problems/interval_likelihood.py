@@ -67,11 +67,11 @@ def ring_step_deg(views: Sequence[View]) -> float:
     This is the larger of the medians of horizontal and of vertical edges.
     """
     edges = [view.cloud_edges for view in views]
-    side = np.concatenate([np.zeros(0, np.int8), *(its.side for its in edges)])
-    angle = np.concatenate([np.zeros(0), *(its.gap_rad for its in edges)])
+    side = np.concatenate([np.zeros(0, np.int8), *(each.side for each in edges)])
+    angle = np.concatenate([np.zeros(0), *(each.gap_rad for each in edges)])
     level = np.isin(side, (Side.UPPER, Side.BOTTOM))
     kinds = (angle[level], angle[~level & (side != Side.NONE)])
-    return float(np.degrees(max((np.median(its) for its in kinds if len(its)), default=0.0)))
+    return float(np.degrees(max((np.median(angles) for angles in kinds if len(angles)), default=0.0)))
 
 
 def integral_of_edges(view: View, side: Side, sigma_px: float) -> Float32:
@@ -149,14 +149,14 @@ class IntervalLikelihood:
                 rows = kept[view.cloud_edges.side[kept] == side]
                 if len(rows):
                     cell = np.floor(pixels[number][rows] / OUTLINE_CELL_PX)
-                    _, its, count = np.unique(cell, axis=0, return_inverse=True, return_counts=True)
-                    weight = view.weight * view.cloud_edges.weight[rows] / np.sqrt(count[its.reshape(-1)])
+                    _, group, count = np.unique(cell, axis=0, return_inverse=True, return_counts=True)
+                    weight = view.weight * view.cloud_edges.weight[rows] / np.sqrt(count[group.reshape(-1)])
                     ends = _ends(view, rows, around)
                     integral = integral_of_edges(view, side, sigma_px)
                     parts.append(_Part(number, side, rows, view.camera, ends, weight, integral))
             return parts
 
-        parts = [part for its in for_each(parts_of, numbers.tolist(), parallel=True) for part in its]
+        parts = [part for of_view in for_each(parts_of, numbers.tolist(), parallel=True) for part in of_view]
         likelihood = cls(tuple(parts), se3.inverse(around), scenes_of(views))
         return likelihood if shares is None else replace(likelihood, shares=shares)
 
@@ -211,9 +211,9 @@ class IntervalLikelihood:
         """Return the likelihood with the shares of edges that have a counterpart at a pose (4, 4), by EM."""
         shares = dict(self.shares)
         for side in {part.side for part in self.parts}:
-            its = [part for part in self.parts if part.side is side]
-            density = np.concatenate([self.density(part, pose[None])[0] for part in its])
-            weight = np.concatenate([part.weight for part in its])
+            of_side = [part for part in self.parts if part.side is side]
+            density = np.concatenate([self.density(part, pose[None])[0] for part in of_side])
+            weight = np.concatenate([part.weight for part in of_side])
             share = shares[side]
             for _ in range(_SHARE_ITERATIONS):
                 posterior = share * density / (1.0 - share + share * density)

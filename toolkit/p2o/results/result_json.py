@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields
-from typing import Any, TypeVar
+from typing import Any
 
 from p2o.errors import InputError
 from p2o.files.parsed_text import parse_json
@@ -17,7 +17,6 @@ from p2o.results.figures import figure_values
 from p2o.results.json_types import Schema, json_tree
 from p2o.results.result import Result, RigResult
 
-_Kind = TypeVar("_Kind")
 _SCHEMAS: dict[type, Schema] = {kind: Schema(kind) for kind in (Result, RigResult, Check, Watch)}
 _NOT_RESULT = ("camera", "error", "start_error", "figures")
 """Keys of p2o's JSON that are not fields of a Result: they follow from other values."""
@@ -45,16 +44,6 @@ def check_to_dict(check: Check | Watch) -> dict[str, Any]:
     return plain
 
 
-def check_from_dict(value: Any) -> Check:
-    """Return the check of the output of `check_to_dict`; raises InputError as `result_from_dict`."""
-    return _read(Check, "the check", value)
-
-
-def watch_from_dict(value: Any) -> Watch:
-    """Return the watch of the output of `check_to_dict`; raises InputError as `result_from_dict`."""
-    return _read(Watch, "the watch", value)
-
-
 def result_from_dict(value: Any) -> Result:
     """Return the result of the output of `result_to_dict`; every number is the same to the last bit.
 
@@ -63,9 +52,15 @@ def result_from_dict(value: Any) -> Result:
     lists. Raises InputError for a missing or unknown field, a value of another type or a pose that is not rigid; the
     text names the field.
     """
-    if isinstance(value, Mapping):
-        value = {key: part for key, part in value.items() if key not in _NOT_RESULT}
-    return _read(Result, "the result", value)
+    if not isinstance(value, Mapping):
+        raise InputError("the result is not an object", got=repr(value)[:60])
+    value = {key: part for key, part in value.items() if key not in _NOT_RESULT}
+    # A default stands for what a method did not estimate, not for a key that was removed from a file.
+    missing = [field.name for field in fields(Result) if field.name not in value]
+    if missing:
+        raise InputError("the result lacks fields", expected=", ".join(missing))
+    result: Result = _SCHEMAS[Result].read(value, "the result")
+    return result
 
 
 def result_to_json(result: Result) -> str:
@@ -76,14 +71,3 @@ def result_to_json(result: Result) -> str:
 def result_from_json(text: str) -> Result:
     """Return the result of JSON text; raises InputError as `result_from_dict`, and for text that is not JSON."""
     return result_from_dict(parse_json(text, "result"))
-
-
-def _read(kind: type[_Kind], name: str, value: Any) -> _Kind:
-    if not isinstance(value, Mapping):
-        raise InputError(f"{name} is not an object", got=repr(value)[:60])
-    # A default stands for what a method did not estimate, not for a key that was removed from a file.
-    missing = [field.name for field in fields(kind) if field.name not in value]  # type: ignore[arg-type]
-    if missing:
-        raise InputError(f"{name} lacks fields", expected=", ".join(missing))
-    read: _Kind = _SCHEMAS[kind].read(value, name)
-    return read

@@ -21,9 +21,10 @@ from p2o.geometry.rough_start import is_rough_start
 from p2o.host.calibration_file import InitialGuess, read_calibration
 from p2o.host.registry import Registry
 from p2o.results.check import Check, CheckStatus, Slip, Watch
+from p2o.run.initial_guess import common_pose, one_camera
 from p2o.run.pipeline import Pipeline
-from p2o.run.recipe import Plan, Recipe
-from p2o.run.run import common_pose, frame_at, one_camera, selected
+from p2o.run.recipe import Plan
+from p2o.run.run import frame_at, planned, selected
 from p2o.run.words import parse_settings
 
 Data = str | Dataset | Sequence[Frame] | Frame
@@ -146,9 +147,8 @@ class _Opened:
         given: dict[str, Any] = {name: words.get(name) for name in ("frames", "extractor", "matcher", "seed")}
         if (options := words.get("options")) is not None:
             given["options"] = parse_settings(options)
-        recipe = Recipe.of(data=data if isinstance(data, str) else None, joint=True, **given)
-        registry = words.get("registry")
-        plan = recipe.resolve(Registry.load() if registry is None else registry)
+        given |= {"data": data if isinstance(data, str) else None, "joint": True}
+        plan = planned(given, words.get("registry") or Registry.load())
         method = plan.parts["matcher"].offer.method
         if "pairs" not in method.gives:
             expected = "a matcher that gives pairs, such as ogm"
@@ -158,7 +158,7 @@ class _Opened:
         pipeline = plan.calibrator()
         assert isinstance(pipeline, Pipeline)
         tell = words.get("on_frame") or (lambda name, done, total: None)
-        return cls(plan, dataset, selected(dataset, recipe.frames)[1], pipeline, tell)
+        return cls(plan, dataset, selected(dataset, plan.recipe.frames)[1], pipeline, tell)
 
     @property
     def stamp(self) -> dict[str, Any]:

@@ -12,8 +12,8 @@ from p2o.frames.frame import Frame
 from p2o.geometry import se3
 from p2o.host.calibration_file import read_initial_guess
 from p2o.host.registry import Registry
+from p2o.run.initial_guess import start_of
 from p2o.run.recipe import Recipe
-from p2o.run.run import start_of
 
 Which = Literal["start", "truth"]
 

@@ -15,16 +15,12 @@ from p2o.geometry.rough_start import is_rough_start
 from p2o.host.method import Kind, Method
 from p2o.host.registry import Offer, Registry, watch
 from p2o.host.slots import KIND_OF, STAGED_WORDS, STAGES, WIDE, WITNESS, WITNESS_STAGES
-from p2o.options import Options
-from p2o.options import validated as validated
+from p2o.options import Options, validated
 from p2o.run.fit import FRAME_CONTENT, check_fit, misfit_of, suggest_alternative
 from p2o.run.part import Part as Part
 from p2o.run.part import part_of
 from p2o.run.rig import Rig
-from p2o.run.words import parse_settings as parse_settings
-from p2o.run.words import split_data as split_data
-from p2o.run.words import split_name
-from p2o.run.words import value_of as value_of
+from p2o.run.words import split_data, split_name
 
 if TYPE_CHECKING:
     from p2o.frames.frame import Frame
@@ -87,36 +83,10 @@ class Recipe(BaseModel):
         Raises UnknownNameError for unknown names and stages, InputError for bad options and for stages that do not
         fit, PluginError where a name is offered twice.
         """
-        from p2o.calibration.options import PipelineOptions
-        from p2o.geometry.start_list import parse_starts
-        from p2o.host.calibration_file import InitialGuess
-
-        if self.perturb is not None:
-            parse_starts(self.perturb)
-        guess: InitialGuess | None = None
-        if self.start is not None:
-            guess = InitialGuess.read(self.start, registry=registry)
-            if self.perturb is not None:
-                raise InputError("both a start and a perturbation are given", expected="one of them")
-        names, values_of = self._names()
-        for stage in self.options:
-            if stage not in (*STAGES, *WITNESS):
-                raise UnknownNameError("stage", stage, (*STAGES, *WITNESS), where="options")
-        parts: dict[str, Part] = {}
-        for stage, name in names.items():
-            values = {**values_of.get(stage, {}), **self.options.get(stage, {})}
-            offer = _dataset(name, self.data, registry) if stage == "data" else registry.find(KIND_OF[stage], name)
-            parts[stage] = part_of(offer, stage, values, self.seed)
-        parts |= self._witness(parts, registry) | self._wide(registry)
-        for stage in self.options:
-            if stage not in parts and stage != "pipeline":
-                raise InputError(f"options for {stage}, which this recipe does not use", expected=", ".join(parts))
-        if self.calibrator is None:
-            pipeline = validated(PipelineOptions, self.options.get("pipeline", {}), "pipeline")
-        elif "pipeline" in self.options:
-            raise InputError(f"options for the pipeline, which calibrator '{self.calibrator}' does not use")
-        else:
-            pipeline = None
+        guess = self._initial_guess(registry)
+        parts = self._parts(registry)
+        parts |= _witness(self, parts, registry) | _wide(self, registry)
+        pipeline = self._pipeline(parts)
         check_fit({stage: part.offer for stage, part in parts.items()}, registry)
         rig = Rig.of(self.rig, registry)
         if rig is not None and self.joint:
@@ -124,79 +94,54 @@ class Recipe(BaseModel):
             raise InputError("a rig has one result for each camera", where="--rig", expected=expected)
         return Plan(self, parts, pipeline, registry, rig, guess)
 
-    def _witness(self, parts: Mapping[str, Part], registry: Registry) -> dict[str, Part]:
-        """Return the extractors of the independent check; default ones only if they are installed and fit the data.
+    def _initial_guess(self, registry: Registry) -> InitialGuess | None:
+        """Return the initial guess of `start`; raises InputError for one beside a perturbation, or a bad one."""
+        from p2o.geometry.start_list import parse_starts
+        from p2o.host.calibration_file import InitialGuess
 
-        Only edges with directions check the result of the method that uses them: edges without are so dense that they
-        agree little more than under random alignment even at a correct pose.
-        """
-        if self.witness == "none" or (self.witness is None and checks_itself(parts)):
-            return {}
-        names = _pair("--witness", self.witness or Recipe().extractor)
-        extractors: dict[str, Part] = {}
-        try:
-            for stage, kind, name in zip(WITNESS, (Kind.IMAGE_EXTRACTOR, Kind.CLOUD_EXTRACTOR), names, strict=True):
-                extractors[stage] = part_of(registry.find(kind, name), stage, self.options.get(stage, {}), self.seed)
-        except UnknownNameError:
-            if self.witness is None:
-                return {}
-            raise
-        beside = {"data": parts["data"].offer} if "data" in parts else {}
-        offers = {**beside, "extractor": extractors["witness"].offer, "cloud": extractors["witness-cloud"].offer}
-        if self.witness is not None:
-            check_fit(offers, registry)
-        if misfit_of(offers) is not None:
-            return {}
-        return extractors | self._witness_stages(extractors, offers, registry)
+        if self.perturb is not None:
+            parse_starts(self.perturb)
+        guess = None if self.start is None else InitialGuess.read(self.start, registry=registry)
+        if guess is not None and self.perturb is not None:
+            raise InputError("both a start and a perturbation are given", expected="one of them")
+        return guess
 
-    def _witness_stages(
-        self, witness: Mapping[str, Part], offers: Mapping[str, Offer], registry: Registry
-    ) -> dict[str, Part]:
-        """Return the other stages of the independent check; none if its edges have no sides."""
-        if not all("side" in part.offer.method.gives for part in witness.values()):
-            return {}
-        default = Recipe()
-        try:
-            parts = {
-                of: part_of(registry.find(KIND_OF[stage], getattr(default, stage)), of, {}, self.seed)
-                for stage, of in WITNESS_STAGES.items()
-            }
-        except UnknownNameError:
-            return {}
-        beside = {stage: parts[of].offer for stage, of in WITNESS_STAGES.items()}
-        return parts if misfit_of({**offers, **beside}) is None else {}
-
-    @property
-    def _searches_rough_start(self) -> bool:
-        """Whether the default initializer searches around an initial guess in words."""
-        staged = self.calibrator is None and self.init == Recipe.model_fields["init"].default
-        return staged and self.start is not None and is_rough_start(self.start)
-
-    def _wide(self, registry: Registry) -> dict[str, Part]:
-        """Return the search of a whole box, for initial guesses in words; none with another initializer."""
-        if not self._searches_rough_start:
-            return {}
-        try:
-            return {WIDE: part_of(registry.find(Kind.INITIALIZER, _WIDE_SEARCH), WIDE, {}, self.seed)}
-        except UnknownNameError:
-            return {}
-
-    def _names(self) -> tuple[dict[str, str], dict[str, dict[str, Any]]]:
-        """Return the method name of each stage, and options that the data text holds."""
-        names: dict[str, str] = {}
-        options: dict[str, dict[str, Any]] = {}
+    def _parts(self, registry: Registry) -> dict[str, Part]:
+        """Return the methods that the recipe names, by stage, with their options."""
+        for stage in self.options:
+            if stage not in (*STAGES, *WITNESS):
+                raise UnknownNameError("stage", stage, (*STAGES, *WITNESS), where="options")
+        parts: dict[str, Part] = {}
         if self.data is not None:
-            names["data"], options["data"] = split_data(self.data)
-        if self.accumulate is not None:
-            names["accumulate"] = self.accumulate
+            parts["data"] = dataset_part(self.data, registry, self.options.get("data"), self.seed)
+        for stage, name in self._names().items():
+            parts[stage] = part_of(registry.find(KIND_OF[stage], name), stage, self.options.get(stage, {}), self.seed)
+        return parts
+
+    def _names(self) -> dict[str, str]:
+        """Return the names of the methods by stage, without the dataset."""
+        names = {} if self.accumulate is None else {"accumulate": self.accumulate}
         if self.calibrator is not None:
             extra = sorted(self.model_fields_set.intersection(STAGED_WORDS))
             if extra:
                 text = f"calibrator '{self.calibrator}' is a whole method"
                 raise InputError(text, expected="no " + ", ".join(extra) + " beside it")
-            return {**names, "calibrator": self.calibrator}, options
+            return {**names, "calibrator": self.calibrator}
         names["extractor"], names["cloud"] = _pair("an extractor", self.extractor)
-        return {**names, "matcher": self.matcher, "solver": self.solver, "init": self.init}, options
+        return {**names, "matcher": self.matcher, "solver": self.solver, "init": self.init}
+
+    def _pipeline(self, parts: Mapping[str, Part]) -> Options | None:
+        """Return the options of the pipeline, None for a whole method; raises InputError for options of no stage."""
+        from p2o.calibration.options import PipelineOptions
+
+        for stage in self.options:
+            if stage not in parts and stage != "pipeline":
+                raise InputError(f"options for {stage}, which this recipe does not use", expected=", ".join(parts))
+        if self.calibrator is None:
+            return validated(PipelineOptions, self.options.get("pipeline", {}), "pipeline")
+        if "pipeline" in self.options:
+            raise InputError(f"options for the pipeline, which calibrator '{self.calibrator}' does not use")
+        return None
 
 
 _WIDE_SEARCH = "far"
@@ -208,6 +153,61 @@ def _pair(what: str, text: str) -> tuple[str, str]:
     if not (slash and image and cloud) or "/" in cloud:
         raise InputError(f"{what} is a pair of methods", expected="IMAGE/CLOUD, such as p2ornet/rings", got=text)
     return image, cloud
+
+
+def _wide(recipe: Recipe, registry: Registry) -> dict[str, Part]:
+    """Return the search of a whole box around an initial guess in words; none with another initializer."""
+    searches = recipe.calibrator is None and recipe.init == Recipe.model_fields["init"].default
+    if not (searches and recipe.start is not None and is_rough_start(recipe.start)):
+        return {}
+    try:
+        return {WIDE: part_of(registry.find(Kind.INITIALIZER, _WIDE_SEARCH), WIDE, {}, recipe.seed)}
+    except UnknownNameError:
+        return {}
+
+
+def _witness(recipe: Recipe, parts: Mapping[str, Part], registry: Registry) -> dict[str, Part]:
+    """Return the extractors of the independent check; default ones only if they are installed and fit the data.
+
+    Only edges with directions check the result of the method that uses them: edges without are so dense that they
+    agree little more than under random alignment even at a correct pose.
+    """
+    if recipe.witness == "none" or (recipe.witness is None and checks_itself(parts)):
+        return {}
+    names = _pair("--witness", recipe.witness or Recipe().extractor)
+    extractors: dict[str, Part] = {}
+    try:
+        for stage, kind, name in zip(WITNESS, (Kind.IMAGE_EXTRACTOR, Kind.CLOUD_EXTRACTOR), names, strict=True):
+            values = recipe.options.get(stage, {})
+            extractors[stage] = part_of(registry.find(kind, name), stage, values, recipe.seed)
+    except UnknownNameError:
+        if recipe.witness is None:
+            return {}
+        raise
+    beside = {"data": parts["data"].offer} if "data" in parts else {}
+    offers = {**beside, "extractor": extractors["witness"].offer, "cloud": extractors["witness-cloud"].offer}
+    if recipe.witness is not None:
+        check_fit(offers, registry)
+    if misfit_of(offers) is not None:
+        return {}
+    return extractors | _witness_stages(recipe, extractors, offers, registry)
+
+
+def _witness_stages(
+    recipe: Recipe, witness: Mapping[str, Part], offers: Mapping[str, Offer], registry: Registry
+) -> dict[str, Part]:
+    """Return the other stages of the independent check; none if its edges have no sides."""
+    if not all("side" in part.offer.method.gives for part in witness.values()):
+        return {}
+    try:
+        parts = {
+            of: part_of(registry.find(KIND_OF[stage], Recipe.model_fields[stage].default), of, {}, recipe.seed)
+            for stage, of in WITNESS_STAGES.items()
+        }
+    except UnknownNameError:
+        return {}
+    beside = {stage: parts[of].offer for stage, of in WITNESS_STAGES.items()}
+    return parts if misfit_of({**offers, **beside}) is None else {}
 
 
 @dataclass(frozen=True)
@@ -226,9 +226,8 @@ class Plan:
 
     def dataset(self) -> GuardedDataset | JoinedFrames:
         """Return the dataset, with accumulated sweeps if the recipe selects them; frames are read on access."""
-        dataset: GuardedDataset = self.parts["data"].build()
-        joined: GuardedDataset | JoinedFrames = self.joined(dataset)
-        return joined
+        dataset: GuardedDataset | JoinedFrames = self.joined(self.parts["data"].build())
+        return dataset
 
     def joined(self, frames: Any) -> Any:
         """Return frames with accumulated sweeps if the recipe selects them, else unchanged."""
@@ -308,23 +307,20 @@ def open_dataset(data: str, registry: Registry, options: Mapping[str, Any] | Non
     return dataset
 
 
-def dataset_part(data: str, registry: Registry, options: Mapping[str, Any] | None = None) -> Part:
+def dataset_part(data: str, registry: Registry, options: Mapping[str, Any] | None = None, seed: int = 0) -> Part:
     """Return the method and the validated options of a text DATASET:PATH; nothing is opened.
 
     Raises as `Recipe.resolve`.
     """
-    name, values = split_data(data)
-    return part_of(_dataset(name, data, registry), "data", {**values, **(options or {})}, Recipe().seed)
-
-
-def _dataset(name: str, data: str | None, registry: Registry) -> Offer:
-    """Return the dataset of a text; a text of one word may be the mistyped name of a folder."""
+    name, values = split_data(data, registry)
     try:
-        return registry.find(Kind.DATASET, name)
+        offer = registry.find(Kind.DATASET, name)
     except UnknownNameError as problem:
+        # A text of one word may be the mistyped name of a folder.
         if name == data and nearest(Path(name)):
             raise no_such_folder(Path(name), "DATASET:PATH, or an existing path") from problem
         raise
+    return part_of(offer, "data", {**values, **(options or {})}, seed)
 
 
 def open_exporter(text: str, registry: Registry) -> tuple[Exporter, Path]:
@@ -336,5 +332,5 @@ def open_exporter(text: str, registry: Registry) -> tuple[Exporter, Path]:
     path = values.pop("root", None)
     if path is None:
         raise InputError("an export needs a path", where="--export", expected="NAME:PATH, such as json:result.json")
-    exporter: Exporter = part_of(registry.find(Kind.EXPORTER, name), "export", values, Recipe().seed).build()
+    exporter: Exporter = part_of(registry.find(Kind.EXPORTER, name), "export", values, seed=0).build()
     return exporter, Path(path)

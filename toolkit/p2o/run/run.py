@@ -3,33 +3,27 @@
 from __future__ import annotations
 
 import os
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
-
 from p2o.arrays import Float
 from p2o.confidence.fusion import rig_result
 from p2o.errors import InputError, P2OError, PluginError
-from p2o.frames.direction import check_direction
 from p2o.frames.frame import Dataset, Frame
 from p2o.frames.selection import select
-from p2o.geometry import se3
 from p2o.geometry.camera import Camera
-from p2o.geometry.pose_error import PoseError, pose_error, summarise
-from p2o.geometry.start_list import StartList, parse_starts
-from p2o.host.calibration_file import names_file
+from p2o.geometry.pose_error import pose_error
 from p2o.host.registry import Registry
 from p2o.results.result import Result, RigResult, Status
-from p2o.results.result_json import result_to_dict, rig_to_dict
-from p2o.results.verdict import Trust
 from p2o.run.assembly import Assembly
-from p2o.run.protocol import Protocol, protocol_of
-from p2o.run.read_again import MAX_FRAMES_IN_MEMORY, FrameInfo, ReadAgain, frame_infos, without_truth
+from p2o.run.initial_guess import common_pose, given_guess, listed_errors, one_camera, start_of, starts_of
+from p2o.run.outcome import FailedFrame, Row, Run
+from p2o.run.presets import preset_of
+from p2o.run.protocol import protocol_of
+from p2o.run.read_again import MAX_FRAMES_IN_MEMORY, ReadAgain, frame_infos, without_truth
 from p2o.run.recipe import Plan, Recipe
 from p2o.run.rig_motion import CameraSweeps, with_common_motions
 from p2o.run.rig_solve import RigCameraFrames, solve_rig
@@ -38,118 +32,7 @@ from p2o.runtime.native import for_each
 from p2o.runtime.stages import counted
 
 _T = TypeVar("_T")
-
-
-@dataclass(frozen=True, eq=False)
-class Row:
-    """One result with what is known about its truth: errors are None if the truth is unknown.
-
-    `camera` is the name of the camera of its frames, empty where they name none.
-    """
-
-    result: Result
-    truth: Float | None
-    start_error: PoseError | None
-    error: PoseError | None
-    camera: str = ""
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the result object of `p2o run --json`, ready for JSON; NaN becomes null."""
-        errors = {"error": _error_dict(self.error), "start_error": _error_dict(self.start_error)}
-        return {"camera": self.camera, **result_to_dict(self.result), **errors}
-
-
-@dataclass(frozen=True)
-class FailedFrame:
-    """A frame without a result, because it cannot be read or lacks what the methods need, and why in one line.
-
-    Of a rig it is a camera, whose frames are solved together.
-    """
-
-    frame: str
-    reason: str
-
-
-@dataclass(frozen=True, eq=False)
-class Run:
-    """All results of a recipe: `rows`, one a frame, or one for all frames with `joint`; `failed` are frames without.
-
-    A rig has a row for each camera, and in `rig` the common result if its file has the transforms between the cameras.
-    """
-
-    rows: tuple[Row, ...]
-    joint: bool = False
-    interrupted: bool = False
-    failed: tuple[FailedFrame, ...] = ()
-    protocol: Protocol | None = None
-    rig: RigResult | None = None
-
-    @property
-    def result(self) -> Result:
-        """Return the result of a run with one result; raises InputError for none or several."""
-        if len(self.rows) != 1:
-            raise InputError(f"this run has {len(self.rows)} results", expected="one", hint="look at .rows")
-        return self.rows[0].result
-
-    @property
-    def solved(self) -> bool:
-        """Return whether at least one calibration ran, all were solved, and no frame failed."""
-        common = self.rig is None or self.rig.body_from_lidar is not None
-        return bool(self.rows) and not self.failed and common and all(row.result.status.solved for row in self.rows)
-
-    @property
-    def rig_errors(self) -> dict[str, PoseError]:
-        """The errors of the common result of a rig by camera, for those whose truth is known."""
-        if self.rig is None:
-            return {}
-        truths = {row.camera: row.truth for row in self.rows if row.truth is not None}
-        poses = {camera.name: camera.camera_from_lidar for camera in self.rig.cameras}
-        return {n: pose_error(pose, truths[n]) for n, pose in poses.items() if pose is not None and n in truths}
-
-    @property
-    def summary(self) -> dict[str, Any]:
-        """Counts by status and by trust, and means, medians and per-axis means of the errors of solved results.
-
-        `start` summarises the errors of the starts of the same rows.
-        """
-        counts = Counter(row.result.status.value for row in self.rows)
-        trusts = Counter(row.result.verdict.trust for row in self.rows)
-        solved = [row for row in self.rows if row.result.status.solved]
-        return {
-            "count": len(self.rows),
-            "failed": len(self.failed),
-            "status": dict(sorted(counts.items())),
-            "solved": len(solved),
-            "trust": {trust.value: trusts[trust] for trust in Trust if trusts[trust]},
-            "error": summarise([row.error for row in solved if row.error is not None]),
-            "start": summarise([row.start_error for row in solved if row.start_error is not None]),
-            "interrupted": self.interrupted,
-            **({} if self.protocol is None else {"protocol": self._by_protocol(self.protocol)}),
-        }
-
-    def _by_protocol(self, protocol: Protocol) -> dict[str, Any]:
-        """Compute the figures of a protocol; a refused calibration counts with its initial guess."""
-        known = [(row.result.camera_from_lidar, row.truth) for row in self.rows if row.truth is not None]
-        estimates, truths = (np.array(poses) for poses in (zip(*known, strict=True) if known else ((), ())))
-        return {"name": protocol.name, "count": len(known), **protocol.figures(estimates, truths)}
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the one object of `p2o run --json`, of one schema for all runs: `results`, `failed`, `summary`.
-
-        A rig whose cameras are fixed to each other has a fourth part, `rig`: the common result.
-        """
-        return {
-            "results": [row.as_dict() for row in self.rows],
-            "failed": [{"frame": one.frame, "reason": one.reason} for one in self.failed],
-            **({} if self.rig is None else {"rig": self._rig_dict(self.rig)}),
-            "summary": self.summary,
-        }
-
-    def _rig_dict(self, rig: RigResult) -> dict[str, Any]:
-        """Return the common result with its errors, by camera and summarised."""
-        errors, plain = self.rig_errors, rig_to_dict(rig)
-        plain["cameras"] = [{**camera, "error": _error_dict(errors.get(camera["name"]))} for camera in plain["cameras"]]
-        return {**plain, "error": summarise(list(errors.values()))}
+Frames = Sequence[Frame] | Dataset
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,41 +100,31 @@ def calibrate(
         raise InputError("there are no data", expected="DATASET:PATH, a dataset or frames", got=None)
     words: dict[str, Any] = {"data": data, "frames": frames, "extractor": extractor, "matcher": matcher}
     words |= {"solver": solver, "init": init, "calibrator": calibrator, "seed": seed, "joint": joint}
-    words |= {"accumulate": accumulate, "witness": witness, "perturb": starts_of(protocol, perturb)}
+    words |= {"accumulate": accumulate, "witness": witness, "perturb": perturb, "protocol": protocol}
     words["options"] = None if options is None else parse_settings(options)
     words["start"] = start if isinstance(start, str) else None
     words["rig"] = str(rig) if isinstance(rig, Path) else dict(rig) if isinstance(rig, Mapping) else rig
-    recipe = Recipe.of(**words)
-    plan = recipe.resolve(Registry.load() if registry is None else registry)
+    plan = planned(words, Registry.load() if registry is None else registry)
     done = run(plan, given, start=None if isinstance(start, str) else start, on_progress=on_progress)
     return done if protocol is None else replace(done, protocol=protocol_of(protocol))
 
 
-def starts_of(protocol: str | None, perturb: str | None, where: str = "protocol") -> str | None:
-    """Return the perturbation that is requested directly or by a protocol.
+def planned(words: Mapping[str, Any], registry: Registry, where: str = "protocol") -> Plan:
+    """Return the plan of words of a recipe, without those that are None, and of the words `method` and `protocol`.
 
-    Beside a protocol a published list of starts may be asked for; InputError for any other, and for a list whose
-    errors act in another frame than the protocol's.
+    `method` names a preset (`p2o.run.presets`), `protocol` that of a publication, named `where` in errors.
     """
-    if protocol is None:
-        return perturb
-    drawn = protocol_of(protocol, where).perturb
-    if perturb is None:
-        return drawn
-    listed = parse_starts(perturb)
-    if not isinstance(listed, StartList):
-        expected = "no perturbation beside it but @FILE"
-        raise InputError("a protocol draws its own starts", where=where, expected=expected, got=perturb)
-    wanted = replace(listed, in_camera=parse_starts(drawn).in_camera)
-    if listed != wanted:
-        text = f"errors of protocol {protocol} act in the {'camera' if wanted.in_camera else 'LiDAR'}'s frame"
-        raise InputError(text, where=where, expected=f'"{wanted}"', got=perturb)
-    return perturb
+    given = {name: value for name, value in words.items() if value is not None or name == "data"}
+    if (protocol := given.pop("protocol", None)) is not None:
+        given["perturb"] = starts_of(protocol, given.get("perturb"), where)
+    if (method := given.pop("method", None)) is not None:
+        given = preset_of(method, registry).merged(given)
+    return Recipe.of(**given).resolve(registry)
 
 
 def run(
     plan: Plan,
-    frames: Sequence[Frame] | Dataset | None = None,
+    frames: Frames | None = None,
     *,
     start: Float | None = None,
     on_progress: OnProgress | None = None,
@@ -269,91 +142,58 @@ def run(
     `calibration` and `rig_calibration` call the built methods, by default in this process (`p2o.run.isolated`: in
     another one).
     """
-    recipe = plan.recipe
-    start, start_remarks = _initial_guess(plan, start)
-    dataset: Sequence[Frame] | Dataset = plan.dataset() if frames is None else plan.joined(frames)
-    names, indices = selected(dataset, recipe.frames)
-    cameras: dict[int, str] = {}
-    remarks: Mapping[str, tuple[str, ...]] = {"": start_remarks}
-    # Sums of floating-point numbers depend on the order of the views: the order of --frames must not matter.
-    if plan.rig is None:
-        groups = [sorted(indices)] if recipe.joint else [[index] for index in indices]
-    else:
-        by_camera, remarks = plan.rig.groups(names, indices, lambda index: _camera_name(dataset, index))
-        cameras, groups = dict(enumerate(by_camera)), [sorted(group) for group in by_camera.values()]
-    in_memory = MAX_FRAMES_IN_MEMORY // (1 if plan.rig is None else max(1, len(groups)))
-    listed = listed_errors(recipe, names, [group[0] for group in groups])
+    guess = given_guess(plan, start)
+    dataset = plan.dataset() if frames is None else plan.joined(frames)
+    groups = _groups(plan, dataset, *guess)
     if on_names is not None:
-        on_names([names[index] for index in indices], list(cameras.values()))
+        on_names([name for group in groups for name in group.names], [g.camera for g in groups if plan.rig is not None])
     parallel = frames is None and "accumulate" not in plan.parts and plan.parts["data"].offer.method.parallel
-    assembly = plan.assembly()
-    stamp = {"recipe": plan.described(), "seed": recipe.seed, "versions": plan.versions(), "licences": plan.licences()}
-    failed: list[FailedFrame] = []
-    first: P2OError | None = None
-    tell, tried = on_progress or (lambda _: None), partial(_tried, len(groups) > 1)
-    with _Rows(tell, assembly, stamp, plan.rig is not None, calibration) as rows:
-        for done, group in enumerate(groups):
-            camera = cameras.get(done, "")
-            name = camera or (names[group[0]] if len(group) == 1 else f"{len(group)} frames jointly")
-            progress = Progress(done, len(groups), name, (), assembly, camera=camera)
-            first_guess = start
-            if plan.rig is not None and recipe.perturb is None:
-                first_guess = plan.rig.start_of(camera)
-            chosen = [(index, names[index]) for index in group]
-            begin = tried(_Begin.of, plan, dataset, chosen, first_guess, listed, parallel, in_memory)
-            row: Row | P2OError
-            if isinstance(begin, P2OError):
-                row = begin
-            else:
-                texts = (*begin.warnings, *remarks.get(camera, ()))
-                begin = replace(begin, warnings=texts, camera=camera or begin.camera)
-                progress = replace(progress, frames=begin.frames)
-                tell(progress)
-                row = tried(_calibrate_one, calibration, assembly, begin, stamp)
-            if isinstance(row, P2OError) or isinstance(begin, P2OError):
-                problem = begin if isinstance(begin, P2OError) else row
-                assert isinstance(problem, P2OError)
-                first = first or problem
-                failed.append(FailedFrame(name, str(problem)))
-                tell(replace(progress, done=done + 1, frames=(), failed=failed[-1]))
-            else:
-                rows.add(progress, begin, row)
-    if first is not None and not rows.done:
-        sort = "frames" if plan.rig is None else "cameras"
-        raise InputError(f"none of the {len(groups)} {sort} can be calibrated", got=first) from first
-    places = {} if plan.rig is None else plan.rig.camera_from_body
-    common = _common_result(rig_calibration, assembly, rows, places) if places else None
-    return Run(tuple(rows.done), joint=recipe.joint, failed=tuple(failed), rig=common)
+    read = partial(_read, plan, dataset, parallel, MAX_FRAMES_IN_MEMORY // (1 if plan.rig is None else len(groups)))
+    with _Calibrations(plan, plan.assembly(), len(groups), on_progress or (lambda _: None), calibration) as done:
+        for number, group in enumerate(groups):
+            done.add(number, group, read)
+    return Run(
+        tuple(done.rows),
+        joint=plan.recipe.joint,
+        failed=tuple(done.failed),
+        rig=None if plan.rig is None else done.common_result(plan.rig.camera_from_body, rig_calibration),
+    )
 
 
-def _common_result(
-    rig_calibration: RigCalibration, assembly: Assembly, rows: _Rows, places: Mapping[str, Float]
-) -> RigResult:
-    """Return the common result of cameras with places (4, 4); the mean of their results if a plugin fails."""
-    try:
-        return rig_calibration(assembly, rows.cameras(places), places)
-    except PluginError as problem:
-        if _strict():
-            raise
-        mean = rig_result({row.camera: row.result for row in rows.done}, places)
-        return replace(mean, reason=f"{mean.reason}; the calibration of all edges failed: {problem}")
+@dataclass(frozen=True, eq=False)
+class _Group:
+    """Frames that are calibrated together: their indices in the order of the dataset, and their names.
+
+    `camera` is that of a rig, `start` (4, 4) a given initial guess, `error` (4, 4) that of a list of starts. Results
+    repeat the `remarks`.
+    """
+
+    indices: Sequence[int]
+    camera: str = ""
+    start: Float | None = None
+    remarks: tuple[str, ...] = ()
+    names: Sequence[str] = ()
+    error: Float | None = None
+
+    @property
+    def name(self) -> str:
+        return self.camera or (self.names[0] if len(self.names) == 1 else f"{len(self.names)} frames jointly")
 
 
-def _initial_guess(plan: Plan, start: Float | None) -> tuple[Float | None, tuple[str, ...]]:
-    """Return the initial extrinsic (4, 4) given as a pose or in words, or None, and remarks on it."""
-    recipe, remarks = plan.recipe, tuple[str, ...]()
-    if plan.initial_guess is not None:
-        if start is not None:
-            raise InputError("a start is given twice, as a pose and in words", expected="one of them")
-        start, remarks, _ = plan.initial_guess
-    if start is None:
-        return None, remarks
+def _groups(plan: Plan, dataset: Frames, start: Float | None, remarks: tuple[str, ...]) -> list[_Group]:
+    """Return the chosen frames by camera of a rig, all of a joint calibration, or each separately."""
+    names, indices = selected(dataset, plan.recipe.frames)
+    # Sums of floating-point numbers depend on the order of the views: the order of --frames must not matter.
     if plan.rig is not None:
-        hint = "say body_from_lidar in the rig file, or the start in each frame"
-        raise InputError("a start is of one camera, and a rig has several", expected="no start beside a rig", hint=hint)
-    if recipe.perturb is not None:
-        raise InputError("both a start and a perturbation are given", expected="one of them")
-    return se3.check_rigid("start", start), remarks
+        by_camera, own_remarks = plan.rig.groups(names, indices, lambda index: _camera_name(dataset, index))
+        starts = {camera: plan.rig.start_of(camera) for camera in by_camera if plan.recipe.perturb is None}
+        groups = [_Group(sorted(g), c, starts.get(c), own_remarks.get(c, ())) for c, g in by_camera.items()]
+    elif plan.recipe.joint:
+        groups = [_Group(sorted(indices), start=start, remarks=remarks)]
+    else:
+        groups = [_Group([index], start=start, remarks=remarks) for index in indices]
+    errors = listed_errors(plan.recipe, names, [group.indices[0] for group in groups])
+    return [replace(g, names=[names[i] for i in g.indices], error=errors.get(g.indices[0])) for g in groups]
 
 
 def _camera_name(dataset: Sequence[Frame] | Dataset, index: int) -> str:
@@ -362,14 +202,36 @@ def _camera_name(dataset: Sequence[Frame] | Dataset, index: int) -> str:
     return frame_at(dataset, index).camera_name if camera_name is None else camera_name(index)
 
 
-def _tried(catches: bool, work: Callable[..., _T], /, *given: Any) -> _T | P2OError:
-    """Return the value of `work`, or with `catches` the error that it raises for invalid frames."""
-    try:
-        return work(*given)
-    except (InputError, PluginError) as problem:
-        if not catches or (isinstance(problem, PluginError) and _strict()):
-            raise
-        return problem
+@dataclass(frozen=True, eq=False)
+class _Begin:
+    """Inputs of a calibration: its frames, the truth, if known, the initial guess, and remarks on it."""
+
+    frames: Sequence[Frame]
+    cameras: frozenset[Camera]
+    truth: Float | None
+    start: Float
+    warnings: tuple[str, ...]
+    camera: str
+
+
+def _read(plan: Plan, dataset: Frames, parallel: bool, in_memory: int, group: _Group) -> _Begin:
+    """Read the frames of a group; more than `in_memory` are read again on each access.
+
+    With `parallel` the dataset may be read by several threads.
+    """
+    read = partial(_usable, plan, dataset, names=dict(zip(group.indices, group.names, strict=True)))
+    frames: Sequence[Frame] = ReadAgain(read, group.indices)
+    if len(group.indices) <= in_memory:
+        frames = tuple(for_each(counted("reading frames", read, len(frames)), group.indices, parallel=parallel))
+    infos = frame_infos(frames)
+    camera = one_camera(infos) if plan.rig is None else group.camera or infos[0].camera_name
+    truth = common_pose(infos, "camera_from_lidar")
+    quaternion = plan.initial_guess is not None and plan.initial_guess.quaternion
+    index = group.indices[0]
+    listed = {} if group.error is None else {index: group.error}
+    start, remarks = start_of(infos, truth, plan.recipe, group.start, index, listed, quaternion=quaternion)
+    cameras = frozenset(info.camera for info in infos)
+    return _Begin(frames, cameras, truth, start, (*remarks, *group.remarks), camera)
 
 
 def _usable(plan: Plan, dataset: Sequence[Frame] | Dataset, index: int, *, names: Mapping[int, str]) -> Frame:
@@ -387,105 +249,81 @@ def _usable(plan: Plan, dataset: Sequence[Frame] | Dataset, index: int, *, names
     return frame
 
 
-def _strict() -> bool:
-    return any(os.environ.get(name, "") not in ("", "0") for name in ("P2O_DEBUG", "P2O_STRICT"))
-
-
-@dataclass(frozen=True, eq=False)
-class _Begin:
-    """Inputs of a calibration: its frames, the truth, if known, the initial guess, and remarks on it."""
-
-    frames: Sequence[Frame]
-    cameras: frozenset[Camera]
-    truth: Float | None
-    start: Float
-    warnings: tuple[str, ...]
-    camera: str = ""
-
-    @classmethod
-    def of(
-        cls,
-        plan: Plan,
-        dataset: Sequence[Frame] | Dataset,
-        chosen: Sequence[tuple[int, str]],
-        start: Float | None,
-        listed: Mapping[int, Float],
-        parallel: bool,
-        in_memory: int,
-    ) -> _Begin:
-        """Read the frames of these indices and names; more than `in_memory` are read again on each access.
-
-        With `parallel` the dataset may be read by several threads.
-        """
-        names = dict(chosen)
-        read = partial(_usable, plan, dataset, names=names)
-        frames: Sequence[Frame] = ReadAgain(read, list(names))
-        if len(names) <= in_memory:
-            frames = tuple(for_each(counted("reading frames", read, len(names)), list(names), parallel=parallel))
-        infos = frame_infos(frames)
-        camera = infos[0].camera_name if plan.rig is not None else one_camera(infos)
-        truth = common_pose(infos, "camera_from_lidar")
-        quaternion = plan.initial_guess is not None and plan.initial_guess.quaternion
-        begin = start_of(infos, truth, plan.recipe, start, chosen[0][0], listed, quaternion=quaternion)
-        return cls(frames, frozenset(info.camera for info in infos), truth, *begin, camera)
-
-
-def _calibrate_one(calibration: Calibration, assembly: Assembly, begin: _Begin, stamp: Mapping[str, Any]) -> Row:
-    frames, truth, start = begin.frames, begin.truth, begin.start
-    try:
-        result = calibration(assembly, without_truth(frames), start)
-    except PluginError as problem:
-        if _strict():
-            raise
-        result = Result(tuple(f.name for f in frames), start, start, Status.STAGE_FAILED, str(problem))
-    intrinsics = result.camera_of(*begin.cameras) if len(begin.cameras) == 1 else None
-    warnings = (*result.warnings, *begin.warnings)
-    result = replace(result, warnings=warnings, intrinsics=intrinsics, **stamp)
-    if truth is None:
-        return Row(result, None, None, None, begin.camera)
-    return Row(result, truth, pose_error(start, truth), pose_error(result.camera_from_lidar, truth), begin.camera)
-
-
 @dataclass(eq=False)
-class _Rows:
-    """The rows of a run, reported as soon as they are complete.
+class _Calibrations:
+    """Calibrates groups of frames, and reports each row as soon as it is complete.
 
     From the first one with an estimated motion on, rows of a rig wait for those of all cameras: one sweep has one
-    motion. If the run ends early, they are reported as they are.
+    motion. If the run ends early, they are reported as they are. Raises InputError in the end if every group failed.
     """
 
-    tell: OnProgress
+    plan: Plan
     assembly: Assembly
-    stamp: Mapping[str, Any]
-    rig: bool
+    total: int
+    tell: OnProgress
     calibration: Calibration
-    done: list[Row] = field(default_factory=list)
+    rows: list[Row] = field(default_factory=list)
+    failed: list[FailedFrame] = field(default_factory=list)
+    first_problem: P2OError | None = None
     waiting: list[tuple[Progress, _Begin, Row]] = field(default_factory=list)
     frames: dict[str, Sequence[Frame]] = field(default_factory=dict)
 
-    def cameras(self, camera_from_body: Mapping[str, Float]) -> list[RigCameraFrames]:
-        """Return the frames and results of the cameras of a rig that have a result, with their places (4, 4)."""
-        results = {row.camera: row.result for row in self.done}
-        return [
-            RigCameraFrames(name, without_truth(self.frames[name]), place, results[name])
-            for name, place in camera_from_body.items()
-            if name in results
-        ]
+    def __post_init__(self) -> None:
+        plan = self.plan
+        self._stamp: dict[str, Any] = {"recipe": plan.described(), "seed": plan.recipe.seed}
+        self._stamp |= {"versions": plan.versions(), "licences": plan.licences()}
 
-    def add(self, progress: Progress, begin: _Begin, row: Row) -> None:
-        """Report a row, or let it wait."""
-        if self.rig:
+    def add(self, number: int, group: _Group, read: Callable[[_Group], _Begin]) -> None:
+        """Read a group and calibrate it; its row, or the reason why there is none, is reported."""
+        progress = Progress(number, self.total, group.name, (), self.assembly, camera=group.camera)
+        begin = self._tried(read, group)
+        if isinstance(begin, P2OError):
+            return self._fail(progress, begin)
+        progress = replace(progress, frames=begin.frames)
+        self.tell(progress)
+        row = self._tried(self._row, begin)
+        if isinstance(row, P2OError):
+            return self._fail(progress, row)
+        if self.plan.rig is not None:
             self.frames[row.camera] = begin.frames
-        if self.rig and (self.waiting or row.result.motions):
-            self.waiting.append((progress, begin, row))
-        else:
-            self._report(progress, row)
+        if self.plan.rig is not None and (self.waiting or row.result.motions):
+            return self.waiting.append((progress, begin, row))
+        return self._report(progress, row)
+
+    def _tried(self, work: Callable[..., _T], given: Any) -> _T | P2OError:
+        """Return the value of `work`, or the error that it raises for one of several groups with invalid frames."""
+        try:
+            return work(given)
+        except (InputError, PluginError) as problem:
+            if self.total == 1 or (isinstance(problem, PluginError) and _strict()):
+                raise
+            return problem
+
+    def _row(self, begin: _Begin, assembly: Assembly | None = None) -> Row:
+        frames, truth, start = begin.frames, begin.truth, begin.start
+        try:
+            result = self.calibration(self.assembly if assembly is None else assembly, without_truth(frames), start)
+        except PluginError as problem:
+            if _strict():
+                raise
+            result = Result(tuple(f.name for f in frames), start, start, Status.STAGE_FAILED, str(problem))
+        intrinsics = result.camera_of(*begin.cameras) if len(begin.cameras) == 1 else None
+        warnings = (*result.warnings, *begin.warnings)
+        result = replace(result, warnings=warnings, intrinsics=intrinsics, **self._stamp)
+        if truth is None:
+            return Row(result, None, None, None, begin.camera)
+        return Row(result, truth, pose_error(start, truth), pose_error(result.camera_from_lidar, truth), begin.camera)
+
+    def _fail(self, progress: Progress, problem: P2OError) -> None:
+        self.first_problem = self.first_problem or problem
+        self.failed.append(FailedFrame(progress.name, str(problem)))
+        self.tell(replace(progress, done=progress.done + 1, frames=(), failed=self.failed[-1]))
 
     def _report(self, progress: Progress, row: Row) -> None:
-        self.done.append(row)
+        self.rows.append(row)
         self.tell(replace(progress, done=progress.done + 1, row=row))
 
-    def __enter__(self) -> _Rows:
+    def __enter__(self) -> _Calibrations:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
@@ -496,10 +334,13 @@ class _Rows:
         finally:
             for (progress, _, _), row in zip(self.waiting, rows, strict=True):
                 self._report(progress, row)
+        if kind is None and self.first_problem is not None and not self.rows:
+            text = f"none of the {self.total} {'frames' if self.plan.rig is None else 'cameras'} can be calibrated"
+            raise InputError(text, got=self.first_problem) from self.first_problem
 
     def _with_common_motions(self) -> list[Row]:
         def solve(number: int, assembly: Assembly) -> Result:
-            return _calibrate_one(self.calibration, assembly, self.waiting[number][1], self.stamp).result
+            return self._row(self.waiting[number][1], assembly).result
 
         cameras = [CameraSweeps.of(row.camera, begin.frames, row.result) for _, begin, row in self.waiting]
         rows = []
@@ -508,87 +349,30 @@ class _Rows:
             rows.append(replace(row, result=result, error=error))
         return rows
 
+    def common_result(self, camera_from_body: Mapping[str, Float], solve: RigCalibration) -> RigResult | None:
+        """Return the common result of the cameras of a rig with places (4, 4); the mean if a plugin fails.
 
-def listed_errors(recipe: Recipe, names: Sequence[str], indices: Sequence[int]) -> dict[int, Float]:
-    """Return the errors (4, 4) that a list gives the frames `indices` of a dataset, by index; none without a list.
-
-    Raises InputError for a list that is missing, cannot be read or has no line for one of them.
-    """
-    starts = None if recipe.perturb is None else parse_starts(recipe.perturb)
-    return starts.errors(names, indices) if isinstance(starts, StartList) else {}
-
-
-def start_of(
-    frames: Sequence[Frame] | Sequence[FrameInfo],
-    truth: Float | None,
-    recipe: Recipe,
-    start: Float | None,
-    index: int,
-    listed: Mapping[int, Float],
-    *,
-    quaternion: bool = False,
-) -> tuple[Float, tuple[str, ...]]:
-    """Return the initial guess and remarks on it; `listed` are the `listed_errors` by index.
-
-    `quaternion` states whether the rotation of `start` was given as a quaternion, whose order may be wrong.
-    """
-    if start is not None:
-        if recipe.start is None or not names_file(recipe.start):
-            return start, ()
-        # Files of other tools often contain the inverse transform.
-        frame = frames[0]
-        assert frame.cloud is not None  # that of the first frame is kept
-        given: dict[str, Any] = {"where": recipe.start, "quaternion": quaternion}
-        return start, check_direction(frame.cloud, frame.camera, start, name="the start", **given)
-    if recipe.perturb is not None:
-        if truth is None:
-            hint = "leave out --perturb to begin at the start that the data give"
-            raise InputError("the truth is not known, so it cannot be perturbed", where=frames[0].name, hint=hint)
-        size = parse_starts(recipe.perturb)
-        if isinstance(size, StartList):
-            return size.start(truth, listed[index]), ()
-        # Seeded by the frame's own number, so that its initial guess does not depend on the other frames of the run.
-        rng = np.random.default_rng([recipe.seed] if recipe.joint else [recipe.seed, index])
-        return size.start(truth, rng, recipe.seed), ()
-    offered = common_pose(frames, "start")
-    if offered is not None:
-        return offered, ()
-    if truth is not None:
-        return truth, ("the start is the calibration that the data give: this checks it (see --perturb)",)
-    expected = "a start pose camera_from_lidar in the data"
-    hint = 'give one: --start FILE, or --start "roughly x forward, z up; camera looks forward"; start= in Python'
-    raise InputError("there is no start to calibrate from", where=frames[0].name, expected=expected, hint=hint)
+        None for a rig without places.
+        """
+        if not camera_from_body:
+            return None
+        results = {row.camera: row.result for row in self.rows}
+        cameras = [
+            RigCameraFrames(name, without_truth(self.frames[name]), place, results[name])
+            for name, place in camera_from_body.items()
+            if name in results
+        ]
+        try:
+            return solve(self.assembly, cameras, camera_from_body)
+        except PluginError as problem:
+            if _strict():
+                raise
+            mean = rig_result(results, camera_from_body)
+            return replace(mean, reason=f"{mean.reason}; the calibration of all edges failed: {problem}")
 
 
-def one_camera(frames: Sequence[Frame] | Sequence[FrameInfo]) -> str:
-    """Return the name of the camera of all frames, empty if they name none; raises InputError for several."""
-    named = sorted({frame.camera_name for frame in frames})
-    if len(named) > 1:
-        text = f"frames of {len(named)} cameras have no pose in common"
-        got = ", ".join(name or "none named" for name in named)
-        hint = "calibrate each camera of the rig with --rig, or choose frames of one"
-        raise InputError(text, where="--joint", expected="frames of one camera", got=got, hint=hint)
-    return named[0]
-
-
-_SAME_DEG, _SAME_M = 1e-3, 1e-4
-
-
-def common_pose(frames: Sequence[Frame] | Sequence[FrameInfo], name: str) -> Float | None:
-    """Return the one pose `name` of all frames that know it, or None; raises InputError if two differ.
-
-    Files round the pose of each frame separately: poses that no calibration can distinguish count as one.
-    """
-    known = [frame for frame in frames if getattr(frame, name) is not None]
-    for frame in known[1:]:
-        step = se3.inverse(getattr(known[0], name)) @ getattr(frame, name)
-        if se3.angle_deg(step) > _SAME_DEG or se3.distance_m(step) > _SAME_M:
-            label = "extrinsics" if name == "camera_from_lidar" else "starts"
-            text = f"frames {known[0].name} and {frame.name} have different {label}"
-            got = f"{se3.angle_deg(step):.3g} deg and {se3.distance_m(step):.3g} m apart"
-            hint = "calibrate them apart, without --joint, or each camera of a rig with --rig"
-            raise InputError(text, expected="one rig for --joint", got=got, hint=hint)
-    return getattr(known[0], name) if known else None
+def _strict() -> bool:
+    return any(os.environ.get(name, "") not in ("", "0") for name in ("P2O_DEBUG", "P2O_STRICT"))
 
 
 def selected(dataset: Sequence[Frame] | Dataset, spec: str) -> tuple[Sequence[str], list[int]]:
@@ -608,9 +392,3 @@ def frame_at(dataset: Sequence[Frame] | Dataset, index: int) -> Frame:
     if not isinstance(frame, Frame):
         raise InputError(f"entry {index} of the frames is not a frame", expected="p2o.Frame", got=type(frame).__name__)
     return frame
-
-
-def _error_dict(error: PoseError | None) -> dict[str, Any] | None:
-    if error is None:
-        return None
-    return {"rotation_deg": error.rotation_deg, "translation_m": error.translation_m, "per_axis": dict(error.per_axis)}

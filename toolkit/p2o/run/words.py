@@ -6,14 +6,15 @@ import os
 import re
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qsl
 
 from p2o.errors import InputError, UnknownNameError
-from p2o.files.input_file import expanded
+from p2o.files.input_file import expanded, nearest
 from p2o.files.parsed_text import parse_yaml
-from p2o.host.slots import STAGES
-from p2o.run.data_kind import data_kind
+from p2o.host.registry import Registry, watch
+from p2o.host.slots import STAGES, Kind
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ def data_by_name(texts: Iterable[str], names: Collection[str], owner: str) -> di
     return data
 
 
-def named_data(text: str) -> str:
+def named_data(text: str, registry: Registry | None = None) -> str:
     """Return DATASET:PATH of a text that may be a PATH alone, whose dataset is inferred from its files.
 
     A text is a path if it contains a separator before any colon, begins with ~, or exists and has no colon. Raises
@@ -60,15 +61,35 @@ def named_data(text: str) -> str:
     if not (set("/\\") & set(name) or name[:1] in ("~", ".") or (not colon and os.path.exists(name))):
         return text
     path, query, _ = text.partition("?")
-    return f"{data_kind(expanded(path if query else text))}:{text}"
+    return f"{data_kind(expanded(path if query else text), registry)}:{text}"
 
 
-def split_data(text: str) -> tuple[str, dict[str, Any]]:
+def data_kind(path: Path, registry: Registry | None = None) -> str:
+    """Return the only dataset of a registry (by default that of the process) that recognises a file or folder.
+
+    Raises InputError if none or several do, PluginError if one of them fails.
+    """
+    if not path.exists():
+        expected = "DATASET:PATH, or an existing path"
+        raise InputError("no such file or folder", where=path, expected=expected, hint=nearest(path))
+    kinds = []
+    for offer in (Registry.of_process() if registry is None else registry).of_kind(Kind.DATASET):
+        if offer.method.recognises is not None:
+            with watch(offer, f"recognising {path}"):
+                kinds += [offer.name] if offer.method.recognises(path) else []
+    if len(kinds) != 1:
+        text = f"the path could be of several datasets: {', '.join(kinds)}" if kinds else "no dataset recognises it"
+        hint = f"name it: DATASET:PATH, such as {kinds[0] if kinds else 'folder'}:{path}"
+        raise InputError(text, where=path, hint=hint)
+    return kinds[0]
+
+
+def split_data(text: str, registry: Registry | None = None) -> tuple[str, dict[str, Any]]:
     """Return the dataset name and the options of DATASET:PATH, or of a PATH as in `named_data`.
 
     `kitti-raw:build/data` gives root; `synthetic:?scenes=4&seed=1` gives options; both may be there.
     """
-    return split_name(named_data(text))
+    return split_name(named_data(text, registry))
 
 
 def split_name(text: str) -> tuple[str, dict[str, Any]]:

@@ -99,7 +99,7 @@ def command(
             )
         if of_run:
             data, options = str(run.data), {**run.options, **options}
-    elif ":" not in (data := named_data(source)):
+    elif ":" not in (data := named_data(source, registry)):
         raise InputError(
             "the argument is neither the folder of a run nor a dataset",
             where=source,
@@ -113,7 +113,7 @@ def command(
         indices = [index for index in indices if dataset.names[index] in results] or indices
     opener = _Opener(dataset, indices, given, results)
     names = [dataset.names[index] for index in indices]
-    session = ViewSession(names, opener, out, calibrate=partial(_calibrated, registry))
+    session = ViewSession(names, opener, out, calibrate=partial(_calibrated, registry), registry=registry)
     with ViewServer(session, host, port) as server, contextlib.suppress(KeyboardInterrupt):
         click.echo(f"view at {server.url} (Ctrl-C here ends it)")
         if not no_browser:

@@ -8,15 +8,15 @@ from pathlib import Path
 from typing import Literal
 
 from p2o.arrays import Float, UInt8
-from p2o.calibration_files.calibration import Calibration
 from p2o.draw.sweep_image import By
 from p2o.errors import InputError
 from p2o.files.input_file import expanded
-from p2o.files.whole_file import write_whole
 from p2o.frames.frame import Frame
 from p2o.geometry.pose_error import pose_error
 from p2o.host.calibration_file import names_file
-from p2o_formats.plain_text import FORMAT as TEXT_FORMAT
+from p2o.host.registry import Registry
+from p2o.results.result import Result, Status
+from p2o.run.recipe import open_exporter
 
 from p2o_pages.view.nudge import Axes, Nudge
 from p2o_pages.view.shown_frame import MOST_POINTS, ShownFrame
@@ -49,7 +49,7 @@ class ViewSession:
     """One frame at a time, and one pose that is kept when another frame is shown. Not thread-safe.
 
     `open_frame` reads a frame by its number in `names`; `out` is the file of `write`; `calibrate` calibrates a frame
-    from an initial guess.
+    from an initial guess; `registry` (default: that of the process) has the exporter `text`, which writes the file.
 
     Raises InputError for a file name that `--start` would not accept, and as `open_frame` for the first frame.
     """
@@ -61,6 +61,7 @@ class ViewSession:
         out: Path | str = "start.yaml",
         calibrate: Calibrate | None = None,
         most_points: int = MOST_POINTS,
+        registry: Registry | None = None,
     ):
         text = str(out)
         if not names_file(text) or set(text) & set("#?"):
@@ -69,6 +70,7 @@ class ViewSession:
         if not self.out.parent.is_dir():
             raise InputError("the folder of the start is missing", where=self.out.parent, expected="a folder")
         self._open, self._calibrate, self._most_points = open_frame, calibrate, most_points
+        self._registry = Registry.of_process() if registry is None else registry
         self._results: dict[int, KnownPose] = {}
         self.written: Path | None = None
         self.look_at(0)
@@ -120,7 +122,9 @@ class ViewSession:
 
     def write(self) -> Path:
         """Write the current pose as a file for `--start`, and return its path; InputError if it cannot be written."""
-        write_whole(self.out, TEXT_FORMAT.written(Calibration(None, self.pose)))
+        export, path = open_exporter(f"text:{self.out}", self._registry)
+        start = self.start.camera_from_lidar
+        export(Result((self.frame.name,), start, self.pose, Status.CONVERGED, "set by hand"), path)
         self.written = self.out
         return self.out
 

@@ -2,16 +2,7 @@
 
 from __future__ import annotations
 
-from p2o_testing.checks import (
-    calibrators,
-    datasets,
-    edges,
-    every_method,
-    exporters,
-    extractors,
-    matchers,
-    solvers,
-)
+from p2o_testing.checks import calibrators, datasets, edges, every_method, exporters, extractors, matchers, solvers
 from p2o_testing.subject import Check
 
 CHECKS: list[Check] = [*every_method.CHECKS, *every_method.OF_FRAMES, *extractors.CHECKS, *edges.CHECKS]

@@ -16,7 +16,7 @@ from p2o.host.method import Example, Kind
 from p2o.host.stages import Calibrator
 from p2o.results.result import Result
 from p2o.results.verdict import Trust, Verdict
-from p2o.run.run import common_pose
+from p2o.run.initial_guess import common_pose
 
 from p2o_testing.exact import around
 from p2o_testing.same import Snapshot, difference, require_equal, require_kept

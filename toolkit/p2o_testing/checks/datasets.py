@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
 import numpy as np
 from p2o.errors import P2OError
 from p2o.frames.cloud import Cloud
@@ -36,6 +39,14 @@ def names_come_before_frames(subject: Subject) -> None:
     require(len(dataset), "the dataset has no frames")
     for index in _some(dataset):
         require(dataset[index].name == dataset.names[index], f"frame {index} is called {dataset[index].name!r}")
+
+
+@CHECKS.of()
+def other_folders_are_not_recognised(subject: Subject) -> None:
+    """An empty folder is not recognised."""
+    recognises = subject.offer.method.recognises
+    with TemporaryDirectory() as folder:
+        require(recognises is None or not recognises(Path(folder)), "an empty folder is recognised")
 
 
 @CHECKS.of()

@@ -18,7 +18,7 @@ from p2o.host.stages import JudgeBase
 from p2o.problems.point_to_line import PointToLine
 from p2o.problems.problem import LeastSquares, Objective
 from p2o.results.verdict import Doubt
-from p2o.run.run import common_pose
+from p2o.run.initial_guess import common_pose
 
 from p2o_testing import stage
 from p2o_testing.exact import around, bare_view, view

@@ -15,13 +15,7 @@ from p2o_train.cli.progress import shown, training_data_options
 @training_data_options
 @click.option("--draw", is_flag=True, help="Also write a PNG image of the labels for each file.")
 def command(
-    method: str,
-    data: tuple[str, ...],
-    frames: tuple[str, ...],
-    out: str,
-    draw: bool,
-    quiet: bool,
-    **plugins: Any,
+    method: str, data: tuple[str, ...], frames: tuple[str, ...], out: str, draw: bool, quiet: bool, **plugins: Any
 ) -> int:
     """Write the training labels of frames for a method, one file per frame, and print the paths.
 
