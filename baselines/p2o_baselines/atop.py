@@ -7,11 +7,11 @@ attention that matches objects. Boxes are read from one file per frame (`BoxFile
 (`python benchmarks/simulated_boxes.py`). A cuboid and a rectangle of the same class match at a pose if each is the
 other's nearest.
 
-1. Ground: the lower faces of cuboids are moved onto the ground plane (RANSAC) if it is within `ground_m`, because
+1. Ground: the lower faces of cuboids are moved onto the ground plane (RANSAC) if it is within 0.5 m, because
    annotated and detected boxes float.
 2. First swarm, over the whole range: the distance between the middles of the lower and upper edges of a projected
    cuboid and of its rectangle, in heights of the rectangle, truncated at one.
-3. Second swarm, over `second_share` of the range: one minus the intersection over union of the bounding rectangle of
+3. Second swarm, over 0.3 of the range: one minus the intersection over union of the bounding rectangle of
    the projected cuboid and the matched rectangle.
 
 Costs are means over the cuboids that are in the image at the initial extrinsic, so that a pose cannot gain by losing
@@ -119,6 +119,9 @@ def read_objects(folder: str, name: str) -> Objects | None:
 
 
 _MARGIN_PX = 100.0  # cuboids whose middle is so far outside of the image at the start count too
+_SECOND_SHARE = 0.3  # size of the second swarm's box as a share of the first's
+_GROUND_M = 0.5  # cuboids that end so near to the ground are put onto it
+_LEAST_OBJECTS = 3  # fewer matched objects, over all frames, are too few
 
 
 class AtopOptions(p2o.Options):
@@ -127,11 +130,8 @@ class AtopOptions(p2o.Options):
     boxes: str = field("", help="Folder of the boxes of both sensors, NAME.json a frame.")
     range_deg: float = field(3.0, gt=0, le=180, help="Half width of the first swarm's box in each rotation.")
     range_m: float = field(0.2, gt=0, le=100, help="Half width of the first swarm's box in each shift.")
-    second_share: float = field(0.3, gt=0, le=1, help="Size of the second swarm's box as a share of the first's.")
     particles: int = field(80, ge=2, le=100_000, help="Particles of each swarm.")
     steps: int = field(80, ge=1, le=100_000, help="Steps of each swarm.")
-    ground_m: float = field(0.5, ge=0, le=10, help="Cuboids that end so near to the ground are put onto it.")
-    least_objects: int = field(3, ge=1, help="Fewer matched objects, over all frames, are too few.")
     seed: int = field(0, ge=0, help="Seed of the swarms, and of the ground planes that are tried.")
 
 
@@ -219,12 +219,12 @@ class Atop:
 
         rng, half = np.random.default_rng(options.seed), np.repeat([np.radians(options.range_deg), options.range_m], 3)
         pose = self._swarm(lambda poses: cost(poses, False), start, half, rng)
-        pose = self._swarm(lambda poses: cost(poses, True), pose, half * options.second_share, rng)
+        pose = self._swarm(lambda poses: cost(poses, True), pose, half * _SECOND_SHARE, rng)
         matched = sum(int((sight.costs(pose[None], overlap=True) < 0.7).sum()) for sight in sights)
         before, after = (float(cost(each[None], True)[0]) for each in (start, pose))
         known = replace(blank, matches={"objects": matched}, judged=Judged("atop", "1 - overlap", before, after))
-        if matched < options.least_objects:
-            return refused(known, f"{matched} objects, {options.least_objects} are needed", Status.TOO_FEW_MATCHES)
+        if matched < _LEAST_OBJECTS:
+            return refused(known, f"{matched} objects, {_LEAST_OBJECTS} are needed", Status.TOO_FEW_MATCHES)
         if not after < before:
             reason = "no pose has a higher overlap of boxes than the initial extrinsic"
             return refused(known, reason, Status.NO_IMPROVEMENT)
@@ -240,7 +240,7 @@ class Atop:
         return pose_from_chart(start, best)
 
     def _sight(self, road: Road, objects: Objects, start: Float) -> Sight | None:
-        corners = grounded(objects.corners, road.ground, self.options.ground_m)
+        corners = grounded(objects.corners, road.ground, _GROUND_M)
         middle = road.camera.project(p2o.se3.apply(start, corners.mean(axis=1)))
         near = road.camera.in_image(middle, _MARGIN_PX)
         near &= objects.same_kind.any(axis=1) if objects.same_kind.size else False

@@ -5,7 +5,7 @@ clusters of the remaining points (50 to 10000 points).
 
 Departures from the released code: planes are sampled from 4000 points with 300 trials each instead of all points with
 3000; normals use the nearest 40 points of the sweep after voxel downsampling, as in the original with `is_down_sample`;
-points beyond `max_range_m` are dropped.
+points beyond 60 m are dropped.
 """
 
 from __future__ import annotations
@@ -17,36 +17,36 @@ from p2o import field
 from p2o_baselines.cloud_segments import CloudSegments, clusters_of, normals_of, one_a_voxel, planes_of
 from p2o_baselines.point_feature import raw_times, rows_in_range
 
+_MAX_RANGE_M = 60.0  # drop points farther than this
+_NEIGHBOURS = 40  # nearest neighbours for the fit of a normal
+_PLANE_BAND_M = 0.2  # half thickness of a plane
+_NORMAL_WEIGHT = 0.2  # weight of the normal's angle (rad) against the distance
+_CLUSTER_LEAST = 50  # least number of points of a cluster
+_CLUSTER_MOST = 10_000  # largest number of points of a cluster
+
 
 class AttributesOptions(p2o.Options):
     """Options of `attributes`; defaults are those of CalibAnything if it states one."""
 
     voxel_m: float = field(0.1, gt=0, le=5, help="Voxel size of downsampling.")
-    max_range_m: float = field(60.0, gt=1, le=1000, help="Drop points farther than this.")
-    neighbours: int = field(40, ge=3, le=500, help="Nearest neighbours for the fit of a normal.")
     plane_points: int = field(2000, ge=10, help="Least number of points of a plane.")
-    plane_band_m: float = field(0.2, gt=0, le=5, help="Half thickness of a plane.")
-    normal_weight: float = field(0.2, ge=0, lt=1, help="Weight of the normal's angle (rad) against the distance.")
     cluster_m: float = field(0.25, gt=0, le=5, help="Largest gap within a cluster.")
-    cluster_least: int = field(50, ge=2, help="Least number of points of a cluster.")
-    cluster_most: int = field(10_000, ge=2, help="Largest number of points of a cluster.")
     points: int = field(40_000, ge=100, le=1_000_000, help="Largest number of points per sweep, evenly sampled.")
-    seed: int = field(0, ge=0, help="Seed of the sampled planes.")
 
 
 def extract(cloud: p2o.Cloud, options: AttributesOptions) -> p2o.CloudFeatures:
     """Return points of a sweep with normal, reflectance (1 without intensities) and segment."""
-    near = rows_in_range(cloud, options.max_range_m)
+    near = rows_in_range(cloud, _MAX_RANGE_M)
     if len(near):
         near = near[one_a_voxel(cloud.xyz[near], options.voxel_m)]
-    if len(near) < options.neighbours:
+    if len(near) < _NEIGHBOURS:
         return p2o.CloudFeatures()
     xyz = cloud.xyz[near]
-    normal = normals_of(xyz, options.neighbours)
-    about = {"least": options.plane_points, "band_m": options.plane_band_m, "normal_weight": options.normal_weight}
-    segment = planes_of(xyz, normal, np.random.default_rng(options.seed), **about)
+    normal = normals_of(xyz, _NEIGHBOURS)
+    about = {"least": options.plane_points, "band_m": _PLANE_BAND_M, "normal_weight": _NORMAL_WEIGHT}
+    segment = planes_of(xyz, normal, np.random.default_rng(0), **about)
     loose = segment < 0
-    cluster = clusters_of(xyz[loose], options.cluster_m, options.cluster_least, options.cluster_most)
+    cluster = clusters_of(xyz[loose], options.cluster_m, _CLUSTER_LEAST, _CLUSTER_MOST)
     segment[loose] = np.where(cluster >= 0, cluster + segment.max() + 1, -1)
     strength = np.ones(len(near)) if cloud.intensity is None else np.maximum(cloud.intensity[near], 0.0)
     # Scaled by the largest one, that of the code being at least 1.

@@ -27,14 +27,14 @@ from p2o_baselines.lane_pole_cloud import LANE, POLE, LanePolePoints
 from p2o_baselines.lane_pole_image import FAR_PX, LanePoleMap
 
 _AT_ONCE = 1 << 18  # number of points of several poses that are sampled in one call
+_POINTS = 4000  # largest number of points per frame, evenly sampled
+_MARGIN_PX = 60.0  # margin around the image in which points are used
 
 
 class CrlfOptions(p2o.Options):
     """Options of `crlf`; all defaults are ours."""
 
     soft_px: float = field(6.0, gt=0.5, le=FAR_PX, help="Distance from the mask at which a point scores 0.")
-    points: int = field(4000, ge=10, le=1_000_000, help="Largest number of points per frame, evenly sampled.")
-    margin_px: float = field(60.0, ge=0, le=1000, help="Margin around the image in which points are used.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,11 +54,11 @@ class LanePoleView:
         camera, away, points = view.camera, view.get(LanePoleMap.word), view.get(LanePolePoints.word)
         if away is None or points is None or not len(points):
             return None
-        near = camera.in_image(camera.project(p2o.se3.apply(pose, points.xyz)), options.margin_px)
+        near = camera.in_image(camera.project(p2o.se3.apply(pose, points.xyz)), _MARGIN_PX)
         for kind in (LANE, POLE):
             if not (away.values[..., kind] < FAR_PX).any():
                 near &= points.kind != kind
-        points = points.select(near).thinned(options.points)
+        points = points.select(near).thinned(_POINTS)
         if not len(points):
             return None
         count = np.bincount(points.kind, minlength=2)

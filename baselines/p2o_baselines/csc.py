@@ -42,19 +42,19 @@ _LIDAR_RAD, _LIDAR_M = np.radians(0.01), 0.003
 _SPAN = 4  # steps over this many frames are used in addition to those to the next frame
 _SCALE = 0.2  # the search changes the scale of hand-eye by at most this logarithm
 _CONTRADICT_DEG, _CONTRADICT = 0.5, 0.25  # steps that differ by more, of their length, are not of one rig
+_WINDOW = 60  # largest number of frames per stretch, with own maps and scales
+_LEAST_LANDMARKS = 60  # least number of landmarks next to planes
+_CORNERS = 1500  # largest number of corners tracked per image
+_CUBE_M = 0.5  # size of the cubes in which planes are fitted to points
+_LEAST_STEPS = 4  # least number of steps from frame to frame
+_SEARCH = 30  # generations of the search
 
 
 class CscOptions(MotionOptions):
     """Options of `csc`."""
 
-    window: int = field(60, ge=6, le=10_000, help="Largest number of frames per stretch, with own maps and scales.")
-    least_steps: int = field(4, ge=2, le=1000, help="Least number of steps from frame to frame.")
-    least_landmarks: int = field(60, ge=10, le=100_000, help="Least number of landmarks next to planes.")
-    corners: int = field(1500, ge=50, le=100_000, help="Largest number of corners tracked per image.")
-    cube_m: float = field(0.5, gt=0.05, le=5, help="Size of the cubes in which planes are fitted to points.")
     reach_deg: float = field(6.0, gt=0, le=180, help="Rotations searched around the extrinsic of the motion.")
     reach_m: float = field(0.5, gt=0, le=10, help="Translation range of the search along each axis.")
-    search: int = field(30, ge=0, le=10_000, help="Generations of the search; 0 for none.")
     seed: int = field(0, ge=0, help="Seed of the search.")
 
 
@@ -88,10 +88,10 @@ class CscCalibration(MotionCalibration):
         """Return the stretches of the drives, and those of them that have a visual map."""
         options = self.options
         groups = moments.consecutive(prepared, options.gap_s)
-        groups = [part for group in groups for part in windows(group, options.window)]
+        groups = [part for group in groups for part in windows(group, _WINDOW)]
         matches["steps"] = sum(len(group) - 1 for group in groups)
-        runs = moments.runs_of(groups, len(prepared), options, span=_SPAN)
-        maps = [visual_map_of(run, options.corners) for run in runs]
+        runs = moments.runs_of(groups, len(prepared), options, least_steps=_LEAST_STEPS, span=_SPAN)
+        maps = [visual_map_of(run, _CORNERS) for run in runs]
         known = [(run, each) for run, each in zip(runs, maps, strict=True) if each is not None]
         matches["landmarks"] = sum(len(each) for _, each in known)
         if not known:
@@ -106,21 +106,19 @@ class CscCalibration(MotionCalibration):
         stretches, log_scales = [], []
         for run, each in known:
             log_scale = _log_scale(run, each, first)
-            stretch = stretch_of(run, each, float(np.exp(log_scale)), options.cube_m)
+            stretch = stretch_of(run, each, float(np.exp(log_scale)), _CUBE_M)
             if stretch is not None:
                 stretches.append(stretch)
                 log_scales.append(log_scale)
-        if sum(map(len, stretches)) < options.least_landmarks:
+        if sum(map(len, stretches)) < _LEAST_LANDMARKS:
             raise RefusedError(Status.TOO_FEW_MATCHES, "the sweeps have no planes, or the images no near landmarks")
-        pose, more = first, 0.0
-        if options.search:
-            axes, half = box(information, options)
-            pose, more = searched(stretches, first, log_scales, axes, half, seed=options.seed, rounds=options.search)
+        axes, half = box(information, options)
+        pose, more = searched(stretches, first, log_scales, axes, half, seed=options.seed, rounds=_SEARCH)
         consistency = solved(stretches, pose, [scale + more for scale in log_scales])
         near = 0 if consistency is None else consistency.landmarks
-        if consistency is None or near < options.least_landmarks:
+        if consistency is None or near < _LEAST_LANDMARKS:
             few = f"{near} landmarks of {matches['landmarks']} lie next to a plane of the LiDAR's map"
-            raise RefusedError(Status.TOO_FEW_MATCHES, f"{few}; {options.least_landmarks} are needed")
+            raise RefusedError(Status.TOO_FEW_MATCHES, f"{few}; {_LEAST_LANDMARKS} are needed")
         matches["on planes"] = consistency.landmarks
         return consistency
 

@@ -27,6 +27,7 @@ from pydantic import ValidationInfo, field_validator
 from p2o_baselines import grey, mi, reflectance
 
 _SCALE = np.array([1e-3] * 3 + [1e-2] * 3)  # rad and m that change a cost by about the same amount
+_BINS = 32  # levels of grey, and of reflectance
 
 
 class CuesOptions(p2o.Options):
@@ -35,8 +36,6 @@ class CuesOptions(p2o.Options):
     extractor: str = field("p2ornet/rings", help="IMAGE/CLOUD that find directed edges.")
     weights: str = field("", help="Weights of p2ornet, as its option of that name; empty: its default.")
     alike: float = field(200.0, gt=0, help="Points of a sweep per independent observation.")
-    widen: float = field(1.0, gt=0, help="Ratio of the errors of edges to the predicted ones.")
-    bins: int = field(32, ge=2, le=1024, help="Levels of grey, and of reflectance.")
 
     @field_validator("weights")
     @classmethod
@@ -101,7 +100,7 @@ class Cues:
         views = [each.untwisted(twists[each.name]) if each.name in twists else each for each in looks]
         both = _Sum(
             pose,
-            np.linalg.inv(result.covariance * self.options.widen**2),
+            np.linalg.inv(result.covariance),
             self._objective(views, pose),
             sum(_in_picture(view, pose) for view in views) / self.options.alike,
         )
@@ -149,7 +148,7 @@ def build(options: CuesOptions) -> p2o.Calibrator:
         pipeline,
         grey.METHOD.build(grey.METHOD.options()),
         reflectance.METHOD.build(reflectance.METHOD.options()),
-        mi.build(mi.MiOptions(bins=options.bins)),
+        mi.build(mi.MiOptions(bins=_BINS)),
     )
 
 

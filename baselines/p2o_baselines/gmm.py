@@ -7,7 +7,7 @@ widths s. Accepts the edges of any image and cloud extractor; sides are ignored.
 - w_ij is the mean of the weights of both edges, divided by the number of image edges within 3 s in u and v, so that
   textured regions have the same weight as others (as in a public re-implementation by students,
   ctyfang/amz-targetless-cal).
-- s is `width` times the reach of the round, which shrinks from round to round, and at least `min_width_px`.
+- s is `width` times the reach of the round, which shrinks from round to round, and at least 1 px.
 - Judge: the mixture at the smallest width, at the points that the initial extrinsic projects near the image.
 - Solver: `coordinate` (original: `nelder-mead` from many initial poses, which takes ten times as long).
 - Basin of attraction: in joint calibration of four synthetic streets, five of five initial errors of 2 deg and 10 cm
@@ -36,14 +36,15 @@ from scipy.ndimage import gaussian_filter, uniform_filter
 from p2o_baselines import examples
 from p2o_baselines.inverse_distance import OnMap, mean_on_maps
 
+_MIN_WIDTH_PX = 1.0  # smallest width of the Gaussians
+_MARGIN_PX = 100.0  # LiDAR edges this far outside the image still take part
+
 
 class GmmOptions(p2o.Options):
     """Options of `gmm`."""
 
     width: float = field(0.2, gt=0, le=2, help="Width of the Gaussians as a share of the reach.")
-    min_width_px: float = field(1.0, ge=0.5, le=50, help="Smallest width of the Gaussians.")
     max_points: int = field(1000, ge=10, help="LiDAR edges of a frame that take part, at most.")
-    margin_px: float = field(100.0, ge=0, help="LiDAR edges this far outside the image still take part.")
 
 
 def scattered(shape: tuple[int, int], uv: Float, weight: Float) -> Float:
@@ -88,7 +89,7 @@ class Mixture:
             if not len(edges) or not len(image):
                 continue
             uv = view.camera.project(p2o.se3.apply(around, edges.xyz))
-            near = edges.select(view.camera.in_image(uv, options.margin_px)).thinned(options.max_points)
+            near = edges.select(view.camera.in_image(uv, _MARGIN_PX)).thinned(options.max_points)
             first, second = mixtures((view.camera.height, view.camera.width), image.uv, image.weight, width_px)
             both = [(first, 0.5 * near.weight), (second, np.full(len(near), 0.5))]
             if (image.weight == image.weight[0]).all():  # one image is a multiple of the other
@@ -113,7 +114,7 @@ class GmmJudge(p2o.JudgeBase):
 
     @cached_property
     def _mixture(self) -> Mixture:
-        return Mixture.of(self.views, self.around, self.options.min_width_px, self.options)
+        return Mixture.of(self.views, self.around, _MIN_WIDTH_PX, self.options)
 
     def costs(self, poses: Sequence[Float]) -> list[float]:
         """Return the cost of each pose (4, 4)."""
@@ -132,7 +133,7 @@ class Gmm(p2o.MatcherBase):
     options: GmmOptions
 
     def __call__(self, views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> Objective:
-        width_px = max(self.options.width * reach_px, self.options.min_width_px)
+        width_px = max(self.options.width * reach_px, _MIN_WIDTH_PX)
         return Objective(Mixture.of(views, camera_from_lidar, width_px, self.options).cost)
 
     def judge(self, views: Sequence[p2o.View], start: Float, poses: Sequence[Float]) -> GmmJudge:

@@ -29,6 +29,8 @@ from p2o_baselines.histogram import by_rank, presence
 from p2o_baselines.information import Sighting, remembered, sightings
 
 _CHUNK = 1 << 17
+_BLUR_SIGMA_PX = 2.0  # width of the blur before the image's gradient
+_POINTS = 6_000  # largest number of points per view
 
 
 class GomOptions(p2o.Options):
@@ -36,8 +38,6 @@ class GomOptions(p2o.Options):
 
     by: Literal["reflectance", "normals"] = field("reflectance", help="Compare reflectance, or steepness of surfaces.")
     neighbours: int = field(8, ge=3, le=100, help="Nearest neighbours by direction for the gradient of a point.")
-    blur_sigma_px: float = field(2.0, ge=0, le=50, help="Width of the blur before the image's gradient.")
-    points: int = field(6_000, ge=100, le=10_000_000, help="Largest number of points per view.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +97,7 @@ def build(options: GomOptions) -> p2o.Matcher:
         import cv2
 
         values = (255 * by_rank(grey.values)).astype(np.float32)
-        if options.blur_sigma_px > 0:
-            values = cv2.GaussianBlur(values, (0, 0), options.blur_sigma_px)
+        values = cv2.GaussianBlur(values, (0, 0), _BLUR_SIGMA_PX)
         pair = [cv2.Sobel(values, cv2.CV_64F, *order, ksize=3) / 8 for order in ((1, 0), (0, 1))]
         return np.stack(pair).reshape(2, -1)
 
@@ -108,7 +107,7 @@ def build(options: GomOptions) -> p2o.Matcher:
             return None
         along = gradients(near.xyz, by_rank(near.value), options.neighbours)
         # The points with the steepest gradients contain nearly all information.
-        steep = np.argsort(-np.linalg.norm(along, axis=1), kind="stable")[: options.points]
+        steep = np.argsort(-np.linalg.norm(along, axis=1), kind="stable")[:_POINTS]
         return Slopes(near.camera, grey_gradient(near.grey), near.xyz[steep], along[steep])
 
     def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> Objective:

@@ -178,7 +178,6 @@ class Gong:
             result,
             fit.camera_from_lidar,
             fit.covariance,
-            options,
             reason=f"edges of {len(corners)} corners are {after:.2f} px off (root mean square)",
             judged=Judged("edges off corners", "px", before, after),
             remedy="add corners elsewhere in the image",

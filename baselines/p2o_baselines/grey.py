@@ -8,6 +8,8 @@ import numpy as np
 import p2o
 from p2o import field
 
+_BILATERAL_SIGMA = 75.0  # deviation of the bilateral filter in pixels, and in grey levels of 255
+
 
 class GreyOptions(p2o.Options):
     """Options of `grey`."""
@@ -17,7 +19,6 @@ class GreyOptions(p2o.Options):
         help="Make grey values equally frequent: over the whole image, or in tiles with limited contrast (CLAHE).",
     )
     bilateral_px: int = field(0, ge=0, le=51, help="Diameter of a bilateral filter, which keeps outlines; 0: none.")
-    bilateral_sigma: float = field(75.0, gt=0, le=1000, help="Its deviation in pixels, and in grey levels of 255.")
     blur_sigma_px: float = field(1.0, ge=0, le=50, help="Width of the final Gaussian blur; 0 for none.")
 
 
@@ -27,7 +28,7 @@ def extract(image: p2o.Image, options: GreyOptions) -> p2o.ImageFeatures:
 
     grey = np.array(image.grey, np.uint8)
     if options.bilateral_px > 0:
-        grey = cv2.bilateralFilter(grey, options.bilateral_px, options.bilateral_sigma, options.bilateral_sigma)
+        grey = cv2.bilateralFilter(grey, options.bilateral_px, _BILATERAL_SIGMA, _BILATERAL_SIGMA)
     if options.equalise == "histogram":
         grey = cv2.equalizeHist(grey)
     elif options.equalise == "local":

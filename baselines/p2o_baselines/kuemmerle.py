@@ -201,7 +201,6 @@ class Kuemmerle:
             result,
             fit.camera_from_lidar,
             fit.covariance,
-            options,
             reason=f"contours of {len(pairs)} spheres are {after:.2f} px from the spheres of sweeps (root mean square)",
             judged=Judged("contours off spheres", "px", before, after),
             remedy="add spheres elsewhere in the image",

@@ -4,7 +4,7 @@ The ground is a plane by RANSAC (0.2 m). Lanes are its points within 10 m to eit
 are isolated columns of a 0.7 m grid that are high and filled at every height.
 
 Departures from the released code (PJLab lidar2camera/auto_calib): it requires a reflectance of 80 of 255 for lanes,
-here they are the strongest `lane_share` of the ground, since scales differ between sensors. It requires poles to reach
+here they are the strongest 3 % of the ground, since scales differ between sensors. It requires poles to reach
 4 m; on KITTI the highest beam is that high only at 65 m, so `pole_top_m` is used instead, and the surrounding columns
 must be empty at chest height, because otherwise every wall would be poles.
 """
@@ -37,16 +37,17 @@ class LanePolePoints(PointFeature):
     time_s: Float | None = None
 
 
+_LANE_SHARE = 0.03  # share of the ground that reflects as strongly as a lane
+_MAX_RANGE_M = 50.0  # drop points farther than this
+
+
 class LanePoleCloudOptions(p2o.Options):
     """Options of the cloud side of `lane-pole`."""
 
     band_m: float = field(0.2, gt=0, le=2, help="Half thickness of the ground (CRLF: 0.2).")
     aside_m: float = field(10.0, gt=0, le=100, help="Largest lateral distance of lanes (CRLF: 10).")
-    lane_share: float = field(0.03, gt=0, lt=1, help="Share of the ground that reflects as strongly as a lane.")
     cell_m: float = field(0.7, gt=0, le=5, help="Size of a column of poles (CRLF: 0.7).")
     pole_top_m: float = field(2.0, gt=0.5, le=50, help="Least height of a pole above the ground (CRLF: 4).")
-    max_range_m: float = field(50.0, gt=1, le=1000, help="Drop points farther than this.")
-    seed: int = field(0, ge=0, help="Seed of the sampled ground planes.")
 
 
 def lanes_of(xyz: Float, height: Float, strength: Float, options: LanePoleCloudOptions) -> Bool:
@@ -54,7 +55,7 @@ def lanes_of(xyz: Float, height: Float, strength: Float, options: LanePoleCloudO
     ground = (np.abs(height) < options.band_m) & (np.abs(xyz[:, 1]) < options.aside_m)
     if not ground.any():
         return ground
-    level = np.quantile(strength[ground], 1 - options.lane_share)
+    level = np.quantile(strength[ground], 1 - _LANE_SHARE)
     # Ground of uniform reflectance has no lanes.
     return np.asarray(ground & (strength >= level) & (strength > 1.5 * np.median(strength[ground])))
 
@@ -82,9 +83,9 @@ def poles_of(xyz: Float, height: Float, options: LanePoleCloudOptions) -> Bool:
 
 def extract(cloud: p2o.Cloud, options: LanePoleCloudOptions) -> p2o.CloudFeatures:
     """Return the points of lanes and poles of a sweep."""
-    near = rows_in_range(cloud, options.max_range_m)
+    near = rows_in_range(cloud, _MAX_RANGE_M)
     xyz = cloud.xyz[near]
-    plane = ground_of(xyz, np.random.default_rng(options.seed), band_m=options.band_m)
+    plane = ground_of(xyz, np.random.default_rng(0), band_m=options.band_m)
     if plane is None:
         return p2o.CloudFeatures(features=[LanePolePoints(np.zeros((0, 3)), np.zeros(0, np.int64))])
     height = xyz @ plane[:3] + plane[3]

@@ -8,10 +8,10 @@ Only the idea is from the paper: layers of shapes, each of which keeps the edges
 hand; the detection of each shape and all constants are ours.
 
 1. Edges of `canny`, linked to chains and split at bends (after Kovesi; Douglas and Peucker).
-2. Lines: pieces of a chain of `min_line_px` and more that fit a straight line.
-3. Circles: runs of pieces that fit one circle over `min_arc_deg` and more.
+2. Lines: pieces of a chain of 30 px and more that fit a straight line.
+3. Circles: runs of pieces that fit one circle over 180 deg and more.
 4. Squares: pieces too short for a line are kept if four of them meet at right angles, end to end, and opposite ones are
-   parallel. Oblique views are quadrilaterals, hence `square_deg` and `max_aspect`.
+   parallel. Oblique views are quadrilaterals, hence `_SQUARE_DEG` and `_MAX_ASPECT`.
 
 The filter of the paper also tracks shapes over the frames of a video; this one processes single images.
 """
@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 import p2o
-from p2o import Bool, Float, Int, field
+from p2o import Bool, Float, Int
 from scipy.ndimage import maximum_filter
 from scipy.spatial import cKDTree
 
@@ -141,21 +141,16 @@ def arc_of(uv: Float) -> Arc:
 
 
 _CRUMB_PX = 2  # chains of so few pixels are corners of staircases; they go with the shape that they touch
-
-
-class LcsOptions(CannyOptions):
-    """Options of `lcs`: those of `canny`, and of each layer."""
-
-    bend_px: float = field(1.5, ge=0.5, le=20, help="Split chains where a pixel is this far from the chord.")
-    fit_px: float = field(0.6, gt=0, le=20, help="Largest root mean square distance of pixels from their shape.")
-    min_line_px: float = field(30.0, ge=2, help="Shortest line in pixels.")
-    min_arc_deg: float = field(180.0, gt=0, le=360, help="Smallest part of a circle that counts.")
-    min_radius_px: float = field(5.0, ge=1, help="Radius of the smallest circle, in pixels.")
-    max_radius_px: float = field(200.0, ge=1, help="Radius of the largest circle, in pixels.")
-    min_side_px: float = field(8.0, ge=2, help="Shortest side of a square, in pixels.")
-    corner_px: float = field(5.0, ge=1, le=100, help="Largest gap between the sides of a square.")
-    square_deg: float = field(20.0, gt=0, lt=45, help="Largest difference of its angles from right ones.")
-    max_aspect: float = field(3.0, ge=1, help="Longest side of a square over its shortest one.")
+_BEND_PX = 1.5  # split chains where a pixel is this far from the chord
+_FIT_PX = 0.6  # largest root mean square distance of pixels from their shape
+_MIN_LINE_PX = 30.0  # shortest line in pixels
+_MIN_ARC_DEG = 180.0  # smallest part of a circle that counts
+_MIN_RADIUS_PX = 5.0  # radius of the smallest circle, in pixels
+_MAX_RADIUS_PX = 200.0  # radius of the largest circle, in pixels
+_MIN_SIDE_PX = 8.0  # shortest side of a square, in pixels
+_CORNER_PX = 5.0  # largest gap between the sides of a square
+_SQUARE_DEG = 20.0  # largest difference of its angles from right ones
+_MAX_ASPECT = 3.0  # longest side of a square over its shortest one
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,13 +170,13 @@ class Piece:
         return float(np.hypot(*self.direction))
 
 
-def build(options: LcsOptions) -> p2o.ImageExtractor:
+def build(options: CannyOptions) -> p2o.ImageExtractor:
     """Return the extractor; raises InputError if `low` exceeds `high`."""
     check_thresholds(options.low, options.high, "lcs")
-    return lambda image: edges_of(shapes(edge_pixels(image, options), options))
+    return lambda image: edges_of(shapes(edge_pixels(image, options)))
 
 
-def shapes(pixels: Bool, options: LcsOptions) -> Bool:
+def shapes(pixels: Bool) -> Bool:
     """Return which edge pixels (H, W) form lines, circles and squares."""
     kept, crumbs = np.zeros(pixels.shape, np.bool_), np.zeros(pixels.shape, np.bool_)
     pieces: list[Piece] = []
@@ -189,21 +184,21 @@ def shapes(pixels: Bool, options: LcsOptions) -> Bool:
         if len(chain) <= _CRUMB_PX:
             crumbs[chain[:, 1], chain[:, 0]] = True
             continue
-        turned, corners = cut(chain, options.bend_px)
+        turned, corners = cut(chain, _BEND_PX)
         runs = (Piece(turned[first : last + 1]) for first, last in pairwise(corners.tolist()))
-        straight = [run for run in runs if run.length_px >= options.min_side_px]
-        straight = [run for run in straight if line_rms_px(run.pixels) <= options.fit_px]
-        lines = [piece.pixels for piece in straight if piece.length_px >= options.min_line_px]
-        for shape in (*lines, *arcs(turned, corners, options)):
+        straight = [run for run in runs if run.length_px >= _MIN_SIDE_PX]
+        straight = [run for run in straight if line_rms_px(run.pixels) <= _FIT_PX]
+        lines = [piece.pixels for piece in straight if piece.length_px >= _MIN_LINE_PX]
+        for shape in (*lines, *arcs(turned, corners)):
             kept[shape[:, 1], shape[:, 0]] = True
         # A line that is long enough alone may also be a side.
         pieces += straight
-    for piece in squares(pieces, options):
+    for piece in squares(pieces):
         kept[piece.pixels[:, 1], piece.pixels[:, 0]] = True
     return kept | (crumbs & maximum_filter(kept, 3))
 
 
-def arcs(chain: Int, corners: Int, options: LcsOptions) -> list[Int]:
+def arcs(chain: Int, corners: Int) -> list[Int]:
     """Return the runs of pixels (M, 2) of a chain, from corner to corner, that one circle fits."""
     runs, first = [], 0
     while first < len(corners) - 1:
@@ -212,9 +207,9 @@ def arcs(chain: Int, corners: Int, options: LcsOptions) -> list[Int]:
             run = chain[corners[first] : corners[last] + 1]
             arc = arc_of(run)
             # At least two pieces are needed to distinguish a circle from a line.
-            if last > first + 1 and not (arc.rms_px <= options.fit_px and arc.radius_px <= options.max_radius_px):
+            if last > first + 1 and not (arc.rms_px <= _FIT_PX and arc.radius_px <= _MAX_RADIUS_PX):
                 break
-            if arc.radius_px >= options.min_radius_px and arc.angle_deg >= options.min_arc_deg:
+            if arc.radius_px >= _MIN_RADIUS_PX and arc.angle_deg >= _MIN_ARC_DEG:
                 best = (last, run)
             last += 1
         if best is not None:
@@ -223,17 +218,17 @@ def arcs(chain: Int, corners: Int, options: LcsOptions) -> list[Int]:
     return runs
 
 
-def squares(pieces: list[Piece], options: LcsOptions) -> list[Piece]:
+def squares(pieces: list[Piece]) -> list[Piece]:
     """Return the pieces that are sides of a square: four that meet end to end at right angles."""
     if len(pieces) < 4:
         return []
     ends = np.concatenate([piece.pixels[[0, -1]] for piece in pieces]).astype(np.float64)
-    pairs = cKDTree(ends).query_pairs(options.corner_px, output_type="ndarray")
+    pairs = cKDTree(ends).query_pairs(_CORNER_PX, output_type="ndarray")
     pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
     # Ends 2 i and 2 i + 1 are those of piece i.
     beside: dict[int, list[int]] = defaultdict(list)
     for one, other in pairs.tolist():
-        if one // 2 != other // 2 and _angle_deg(pieces[one // 2], pieces[other // 2]) >= 90 - options.square_deg:
+        if one // 2 != other // 2 and _angle_deg(pieces[one // 2], pieces[other // 2]) >= 90 - _SQUARE_DEG:
             beside[one].append(other)
             beside[other].append(one)
     members: set[int] = set()
@@ -243,19 +238,19 @@ def squares(pieces: list[Piece], options: LcsOptions) -> list[Piece]:
                 # The far ends of both neighbours coincide with both ends of the fourth side.
                 across = {end // 2 for end in beside[left ^ 1]} & {end // 2 for end in beside[right ^ 1]}
                 fours = [(side, left // 2, right // 2, fourth) for fourth in across - {side}]
-                members.update(*(four for four in fours if _is_square([pieces[k] for k in four], options)))
+                members.update(*(four for four in fours if _is_square([pieces[k] for k in four])))
     return [pieces[number] for number in sorted(members)]
 
 
-def _is_square(sides: list[Piece], options: LcsOptions) -> bool:
+def _is_square(sides: list[Piece]) -> bool:
     """Return whether four sides, of which the second and third meet the first, are about equal, opposites parallel."""
     first, left, right, fourth = sides
     lengths = [side.length_px for side in sides]
     return (
         len({id(side) for side in sides}) == 4
-        and max(lengths) <= options.max_aspect * min(lengths)
-        and _angle_deg(left, right) <= options.square_deg
-        and _angle_deg(first, fourth) <= options.square_deg
+        and max(lengths) <= _MAX_ASPECT * min(lengths)
+        and _angle_deg(left, right) <= _SQUARE_DEG
+        and _angle_deg(first, fourth) <= _SQUARE_DEG
     )
 
 
@@ -268,7 +263,7 @@ def _angle_deg(one: Piece, other: Piece) -> float:
 METHOD = p2o.Method(
     name="lcs",
     build=build,
-    options=LcsOptions,
+    options=CannyOptions,
     summary="Grey-level edges that form lines, circles or squares, without direction.",
     gives={"image-edges"},
     cite="Tafrishi et al., Line-circle-square (LCS): a multilayered geometric filter for edge-based detection, "

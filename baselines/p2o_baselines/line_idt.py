@@ -5,7 +5,7 @@ With `--extractor line-idt/line-points --solver coordinate --init given`.
 After Zhang et al., Line-Based Automatic Extrinsic Calibration of LiDAR and Camera, ICRA 2021: the row "line-based" of
 Table II of P2O-Calib. The features of Levinson and Thrun restricted to lines, and a search with adaptive steps.
 
-- Image: the largest grey-level difference of a pixel to its eight neighbours, within `width_px` of the line segments of
+- Image: the largest grey-level difference of a pixel to its eight neighbours, within 3 px of the line segments of
   LSD; then the inverse distance transform with alpha = 1/3 and gamma = 0.98.
 - Sweep: `line-points`; the original accumulates three sweeps, `--accumulate poses --set accumulate.past=2 --set
   accumulate.future=0`. One sweep is possible, with fewer points.
@@ -26,43 +26,31 @@ from __future__ import annotations
 
 import numpy as np
 import p2o
-from p2o import field
 
 from p2o_baselines import examples
 from p2o_baselines.inverse_distance import MapOptions, edge_strength, map_features, map_matcher
 from p2o_baselines.lsd import segments
 
-
-class ImageOptions(MapOptions):
-    """Options of the image extractor `line-idt`."""
-
-    min_length_px: float = field(15.0, ge=0, help="Shortest line segment, in pixels.")
-    width_px: int = field(
-        3, ge=0, le=50, help="Width of the strokes along segments outside which edges are dropped; 0: none."
-    )
+_MIN_LENGTH_PX = 15.0  # shortest line segment, in pixels
+_WIDTH_PX = 3  # width of the strokes along segments outside which edges are dropped
+_MAX_POINTS = 2000  # largest number of line points per frame
 
 
-def extract(image: p2o.Image, options: ImageOptions) -> p2o.ImageFeatures:
+def extract(image: p2o.Image, options: MapOptions) -> p2o.ImageFeatures:
     """Return the inverse distance map of the lines of an image."""
     import cv2
 
     strength = edge_strength(image.grey)
     strokes = np.zeros(strength.shape, np.uint8)
-    for first, last in np.rint(segments(image, options.min_length_px)).astype(int).tolist():
-        cv2.line(strokes, first, last, 1, options.width_px)
+    for first, last in np.rint(segments(image, _MIN_LENGTH_PX)).astype(int).tolist():
+        cv2.line(strokes, first, last, 1, _WIDTH_PX)
     strength *= strokes
     return map_features(strength, options)
 
 
-class LineIdtOptions(p2o.Options):
-    """Options of the matcher `line-idt`."""
-
-    max_points: int = field(2000, ge=10, help="Largest number of line points per frame.")
-
-
-def build(options: LineIdtOptions) -> p2o.Matcher:
+def build(options: p2o.Options) -> p2o.Matcher:
     """Return the matcher `(views, camera_from_lidar (4, 4), reach_px) -> Objective`."""
-    return map_matcher(options.max_points)
+    return map_matcher(_MAX_POINTS)
 
 
 _CITE = "Zhang et al., Line-Based Automatic Extrinsic Calibration of LiDAR and Camera, ICRA 2021"
@@ -70,7 +58,7 @@ _CITE = "Zhang et al., Line-Based Automatic Extrinsic Calibration of LiDAR and C
 IMAGE = p2o.Method(
     name="line-idt",
     build=lambda options: lambda image: extract(image, options),
-    options=ImageOptions,
+    options=MapOptions,
     summary="Inverse distance transform of grey-level differences along line segments.",
     gives={"image-idt"},
     cite=_CITE,
@@ -79,7 +67,6 @@ IMAGE = p2o.Method(
 METHOD = p2o.Method(
     name="line-idt",
     build=build,
-    options=LineIdtOptions,
     summary="Minus the mean of the inverse distance map of image lines at the line points of the sweep.",
     needs={"image-idt", "cloud-edges"},
     gives={"objective"},

@@ -5,10 +5,10 @@ discontinuity points of three successive sweeps and keep those that form lines. 
 
 - A sweep with rings: range jumps along its rings, as in `ring-discontinuity`.
 - A cloud without rings, such as accumulated sweeps (`--accumulate poses --set accumulate.past=2 --set
-  accumulate.future=0`): its range image from the origin with cells of `cell_deg`; the nearest point of each cell in
+  accumulate.future=0`): its range image from the origin with cells of 0.2 deg; the nearest point of each cell in
   front of a jump to the next cell.
 - A point is kept if the neighbours within a radius are distributed along one direction: the largest eigenvalue of their
-  covariance is at least `min_straight` of the trace. Its weight is the square root of its jump, as in Levinson and
+  covariance is at least 0.7 of the trace. Its weight is the square root of its jump, as in Levinson and
   Thrun.
 
 Departures: the published filter is not known to us in detail; occlusion due to the offset between LiDAR and camera is
@@ -25,19 +25,20 @@ from scipy.spatial import cKDTree
 
 from p2o_baselines.ring_discontinuity import edges_at, ring_jumps
 
+_MIN_JUMP_SHARE = 0.03  # added to the smallest jump, as a share of the range
+_MAX_GAP_DEG = 0.6  # least angle that parts neighbours on a ring
+_CELL_DEG = 0.2  # width of a cell of the range image of a cloud without rings
+_RADIUS_M = 0.3  # radius of the neighbourhood of a point, in metres
+_RADIUS_SHARE = 0.02  # the radius is at least this share of the range
+_MIN_NEIGHBOURS = 2  # least number of neighbours within the radius
+_MIN_STRAIGHT = 0.7  # least share of the variance along one direction
+
 
 class LinePointsOptions(p2o.Options):
     """Options of `line-points`."""
 
     min_jump_m: float = field(0.5, ge=0, help="Smallest range jump, in metres.")
-    min_jump_share: float = field(0.03, ge=0, help="Added to the smallest jump, as a share of the range.")
-    max_gap_deg: float = field(0.6, gt=0, lt=90, help="Least angle that parts neighbours on a ring.")
-    cell_deg: float = field(0.2, gt=0, le=5, help="Width of a cell of the range image of a cloud without rings.")
     max_range_m: float = field(60.0, gt=1, help="Drop points farther than this.")
-    radius_m: float = field(0.3, gt=0, help="Radius of the neighbourhood of a point, in metres.")
-    radius_share: float = field(0.02, ge=0, help="The radius is at least this share of the range.")
-    min_neighbours: int = field(2, ge=1, help="Least number of neighbours within the radius.")
-    min_straight: float = field(0.7, gt=0, le=1, help="Least share of the variance along one direction.")
 
 
 def extract(cloud: p2o.Cloud, options: LinePointsOptions) -> p2o.CloudFeatures:
@@ -45,18 +46,18 @@ def extract(cloud: p2o.Cloud, options: LinePointsOptions) -> p2o.CloudFeatures:
     rows, jump_m = discontinuities(cloud, options)
     xyz = cloud.xyz[rows]
     range_m = np.linalg.norm(xyz, axis=1)
-    keep = (jump_m > options.min_jump_m + options.min_jump_share * range_m) & (range_m <= options.max_range_m)
+    keep = (jump_m > options.min_jump_m + _MIN_JUMP_SHARE * range_m) & (range_m <= options.max_range_m)
     rows, xyz, range_m = rows[keep], xyz[keep], range_m[keep]
-    radius_m = np.maximum(options.radius_m, options.radius_share * range_m)
-    line = along_lines(xyz, radius_m, options.min_neighbours, options.min_straight)
+    radius_m = np.maximum(_RADIUS_M, _RADIUS_SHARE * range_m)
+    line = along_lines(xyz, radius_m, _MIN_NEIGHBOURS, _MIN_STRAIGHT)
     return p2o.CloudFeatures(edges_at(cloud, rows[line], np.sqrt(jump_m[keep][line])))
 
 
 def discontinuities(cloud: p2o.Cloud, options: LinePointsOptions) -> tuple[Int, Float]:
     """Return the points (M,) before a step back in range, and the steps (M,) m: by rings, else in an image."""
     if cloud.ring is not None:
-        return ring_jumps(cloud, options.min_jump_m, options.max_gap_deg)
-    return range_image_jumps(cloud.xyz, np.radians(options.cell_deg), options.min_jump_m)
+        return ring_jumps(cloud, options.min_jump_m, _MAX_GAP_DEG)
+    return range_image_jumps(cloud.xyz, np.radians(_CELL_DEG), options.min_jump_m)
 
 
 def range_image_jumps(xyz: Float, cell: float, min_jump_m: float) -> tuple[Int, Float]:

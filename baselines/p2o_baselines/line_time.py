@@ -20,7 +20,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Literal
 
 import numpy as np
 import p2o
@@ -31,19 +30,19 @@ from p2o.solving import Pipeline
 from p2o_baselines.sensor_delay import Delay, Drive, delay_of, twists
 from p2o_baselines.visual_odometry import camera_step, followed
 
+_STEP_S = 0.005  # spacing of the evaluated delays
+_LEAST_STEPS = 4  # fewer steps from image to image are too few
+_SIGMA_S = 0.02  # refuse delays with a larger standard deviation
+_EXPLAINED = 0.5  # least share of the camera's squared turns in the LiDAR's
+_CORNERS = 1500  # largest number of corners tracked per image
+
 
 class LineTimeOptions(p2o.Options):
     """Options of `line-time`."""
 
     longest_s: float = field(0.2, gt=0, le=10, help="Longest delay that is tried, to either side.")
-    step_s: float = field(0.005, gt=0, le=1, help="Spacing of the evaluated delays.")
     gap_s: float = field(0.5, gt=0, le=60, help="Largest time between compared images.")
     span_s: float = field(0.5, ge=0, le=60, help="Largest time over which rotations are compared.")
-    least_steps: int = field(4, ge=2, help="Fewer steps from image to image are too few.")
-    sigma_s: float = field(0.02, gt=0, le=10, help="Refuse delays with a larger standard deviation.")
-    explained: float = field(0.5, ge=0, lt=1, help="Least share of the camera's squared turns in the LiDAR's.")
-    corners: int = field(1500, ge=50, le=100_000, help="Largest number of corners tracked per image.")
-    solver: Literal["grid729", "coordinate"] = field("grid729", help="Solver of the second half.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +78,7 @@ class LineTime:
         start = np.asarray(camera_from_lidar, np.float64)
         drives, options = drives_of(prepared), self.options
         turns = [turns_of(drive, options) for drive in drives]
-        delay = delay_of(turns, start, longest_s=options.longest_s, step_s=options.step_s)
+        delay = delay_of(turns, start, longest_s=options.longest_s, step_s=_STEP_S)
         counts = {"steps": 0 if delay is None else delay.steps}
         trouble = self._trouble(delay, sum(map(len, drives)))
         if delay is None or trouble is not None:
@@ -105,12 +104,12 @@ class LineTime:
         """Return why the delay is unknown; None if it is known."""
         options = self.options
         longest = f"{options.longest_s:g} s"
-        if delay is None or delay.steps < options.least_steps:
+        if delay is None or delay.steps < _LEAST_STEPS:
             return Status.TOO_FEW_MATCHES, (
                 f"{0 if delay is None else delay.steps} steps between images of one drive, of {frames} frames, lie "
-                f"{longest} and more within its poses; {options.least_steps} are needed, calibrated jointly"
+                f"{longest} and more within its poses; {_LEAST_STEPS} are needed, calibrated jointly"
             )
-        if delay.explained < options.explained:
+        if delay.explained < _EXPLAINED:
             return Status.NOT_OBSERVABLE, (
                 f"no delay of up to {longest} lays the turns of camera and LiDAR upon each other: they share "
                 f"{max(delay.explained, 0):.0%} of them; drive so that it turns, and check what times belong to"
@@ -118,7 +117,7 @@ class LineTime:
         if not delay.inside:
             reason = f"the delay is {longest} or longer, the longest that is tried: calibrator.longest_s"
             return Status.NOT_OBSERVABLE, reason
-        if not delay.sigma_s <= options.sigma_s:
+        if not delay.sigma_s <= _SIGMA_S:
             known = f"to {1e3 * delay.sigma_s:.0f} ms only" if np.isfinite(delay.sigma_s) else "not at all"
             reason = f"the drive turns too little, or too evenly, to tell the delay: it is known {known}"
             return Status.NOT_OBSERVABLE, f"{reason}; drive curves to either side"
@@ -145,7 +144,7 @@ def _step(first: Moment, second: Moment, options: LineTimeOptions) -> Float | No
     """Return the rotation (3, 3) of the camera between two images; None if they do not determine it."""
     if second.time_s - first.time_s > options.gap_s or first.grey.shape != second.grey.shape:
         return None
-    uv_first, uv_second = followed(first.grey, second.grey, most=options.corners, masked=first.masked)
+    uv_first, uv_second = followed(first.grey, second.grey, most=_CORNERS, masked=first.masked)
     camera = first.view.camera
     step = camera_step(camera.rays(uv_first), second.view.camera.rays(uv_second), camera.focal_px)
     return None if step is None else step.second_from_first[:3, :3]
@@ -160,7 +159,7 @@ def synchronised(drive: Sequence[Moment], delay_s: float) -> list[p2o.View]:
 
 def build(options: LineTimeOptions) -> p2o.Calibrator:
     """Return the calibrator. Raises UnknownNameError if no plugin with the solver is loaded."""
-    stages = {"extractor": "line-idt/line-points", "matcher": "line-idt", "solver": options.solver, "init": "given"}
+    stages = {"extractor": "line-idt/line-points", "matcher": "line-idt", "solver": "grid729", "init": "given"}
     recipe = p2o.Recipe.of(data=None, **stages, witness="none")
     space = recipe.resolve(p2o.Registry.load()).calibrator()
     assert isinstance(space, Pipeline)

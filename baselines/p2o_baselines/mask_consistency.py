@@ -13,7 +13,7 @@ tenth of the usual density.
 Departures from the paper and its code (OpenCalib/CalibAnything): masks are OpenCV's graph segments if `masks` names no
 folder (the paper uses SAM); normals are counted in cells of about 15 deg, each with the mean direction of its normals,
 so that S_n is exact for flat surfaces and has an error of some thousandths elsewhere; segments beyond the sixth largest
-of a mask are ignored in S_s (they have 1/64 of the weight or less); at most `points` points are used; the image rows
+of a mask are ignored in S_s (they have 1/64 of the weight or less); at most 8000 points are used; the image rows
 covered by points are measured, in the original they are a setting. The weights, and all thresholds not named above, are
 those of the code.
 """
@@ -34,6 +34,10 @@ from p2o_baselines.masks import ImageMasks, masks_of, read_masks
 _MARGIN_PX = 300.0  # points so far outside of the image may be brought in by another pose (code)
 _LARGEST = 6  # number of segments of a mask that S_s evaluates
 _AT_ONCE = 1 << 18  # number of points of several poses that are sampled in one call
+_MASK_WEIGHT = 1e-4  # reduction of the cost for each valid mask
+_LEAST_POINTS = 10  # masks with fewer points do not count
+_LEAST_DENSITY = 0.1  # masks with a smaller share of the usual density are ignored
+_POINTS = 8000  # largest number of points per frame, evenly sampled
 
 
 class MaskOptions(p2o.Options):
@@ -43,10 +47,6 @@ class MaskOptions(p2o.Options):
     normal_weight: float = field(0.3, ge=0, le=1, help="Weight of the agreement of normals.")
     strength_weight: float = field(0.2, ge=0, le=1, help="Weight of the agreement of reflectance.")
     segment_weight: float = field(0.5, ge=0, le=1, help="Weight of the agreement of segments.")
-    mask_weight: float = field(1e-4, ge=0, le=1, help="Reduction of the cost for each valid mask.")
-    least_points: int = field(10, ge=2, help="Masks with fewer points do not count.")
-    least_density: float = field(0.1, ge=0, le=1, help="Masks with a smaller share of the usual density are ignored.")
-    points: int = field(8000, ge=100, le=1_000_000, help="Largest number of points per frame, evenly sampled.")
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ class MaskedView:
     ) -> MaskedView | None:
         """Return the frame projected at a pose; None if no point is in the image."""
         near = camera.in_image(camera.project(p2o.se3.apply(pose, points.xyz)), _MARGIN_PX)
-        points = points.select(near).thinned(options.points)
+        points = points.select(near).thinned(_POINTS)
         uv = camera.project(p2o.se3.apply(pose, points.xyz)) if len(points) else np.zeros((0, 2))
         v = uv[camera.in_image(uv), 1]
         if not len(v):
@@ -157,14 +157,14 @@ class MaskedView:
         options = self.options
         scores, floor = self.scores(poses)
         usual = self.masks.area_px * self.per_px
-        counts = (scores.count >= options.least_points) & (scores.count >= options.least_density * usual)
+        counts = (scores.count >= _LEAST_POINTS) & (scores.count >= _LEAST_DENSITY * usual)
         weight, segmented = np.where(counts, scores.count, 0.0), np.where(counts, scores.segmented, 0.0)
         total, per_mask = weight.sum(axis=1), segmented.sum(axis=1)
         gain = options.normal_weight * np.sum(scores.normal * weight, axis=1)
         gain += options.strength_weight * np.sum(scores.strength * weight, axis=1)
         gain /= np.maximum(total, 1.0)
         gain += options.segment_weight * np.sum(scores.segment * segmented, axis=1) / np.maximum(per_mask, 1.0)
-        gain += options.mask_weight * counts.sum(axis=1)
+        gain += _MASK_WEIGHT * counts.sum(axis=1)
         enough = floor >= 0.1 * self.per_px * 0.1 * self.camera.height * self.camera.width
         return np.asarray(np.where((total > 0) & (per_mask > 0) & enough, 2.0 - gain, 2.0))
 

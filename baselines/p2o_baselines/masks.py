@@ -134,15 +134,17 @@ def _is_larger(size: tuple[int, int], shape: tuple[int, int]) -> bool:
     return size[0] > shape[0] and abs(size[1] * shape[0] / size[0] - shape[1]) <= 0.5 * (1 + shape[1] / shape[0])
 
 
+_GRAPH_SIGMA_PX = 0.5  # width of the blur before the graph segments
+_SUPERPIXEL_PX = 60  # size of a superpixel
+_LEAST_SHARE = 1 / 1200  # least share of a mask, or 2000 px if that is less
+_MOST = 255  # largest number of masks; the largest masks are kept
+
+
 class MasksOptions(p2o.Options):
     """Options of `masks`."""
 
     graph_scales: tuple[float, ...] = field((100.0, 400.0, 1500.0), max_length=3, help="Scales k of graph segments.")
-    graph_sigma_px: float = field(0.5, gt=0, le=10, help="Width of the blur before the graph segments.")
     superpixels: Literal["none", "slic", "seeds"] = field("none", help="Superpixels that are used as further masks.")
-    superpixel_px: int = field(60, ge=8, le=500, help="Size of a superpixel.")
-    least_share: float = field(1 / 1200, gt=0, lt=1, help="Least share of a mask, or 2000 px if that is less.")
-    most: int = field(255, ge=1, le=2000, help="Largest number of masks; the largest masks are kept.")
 
 
 def graph_segments(rgb: UInt8, scale: float, sigma_px: float, least_px: float) -> Int:
@@ -176,14 +178,14 @@ def build(options: MasksOptions) -> p2o.ImageExtractor:
         raise p2o.InputError("no kind of mask is enabled", where="masks", expected="graph_scales, superpixels or both")
 
     def extract(image: p2o.Image) -> p2o.ImageFeatures:
-        least_px = min(options.least_share * image.grey.size, 2000)
-        layers = [graph_segments(image.rgb, k, options.graph_sigma_px, least_px) for k in options.graph_scales]
+        least_px = min(_LEAST_SHARE * image.grey.size, 2000)
+        layers = [graph_segments(image.rgb, k, _GRAPH_SIGMA_PX, least_px) for k in options.graph_scales]
         if options.superpixels != "none":
-            layers.append(superpixels(image.rgb, options.superpixels, options.superpixel_px))
+            layers.append(superpixels(image.rgb, options.superpixels, _SUPERPIXEL_PX))
         regions = (shape for layer in layers for shape in parts_of(layer))
         # A single mask of the whole image contains no information.
         shapes = [shape for shape in regions if not shape.all()]
-        return p2o.ImageFeatures(features=[masks_of(shapes, image.grey.shape, options.most, least_px)])
+        return p2o.ImageFeatures(features=[masks_of(shapes, image.grey.shape, _MOST, least_px)])
 
     return extract
 

@@ -38,6 +38,8 @@ _SURE = 2.0
 """The upright image is enough if this many times the required places agree."""
 _CELL_PX = 4.0
 """Size of the places of an image that are counted."""
+_FOCAL_PX = 600.0  # focal length of virtual views, to which images are resampled
+_MIN_RANGE_M = 1.5  # drop points nearer than this, on the vehicle itself
 
 
 class MatchesOptions(p2o.Options):
@@ -47,17 +49,10 @@ class MatchesOptions(p2o.Options):
         "aliked", help="Keypoints and their network."
     )
     keypoints: int = field(1024, ge=50, le=20_000, help="Largest number of keypoints in an image.")
-    focal_px: float = field(
-        600.0, ge=100, le=3000, help="Focal length of virtual views, to which images are resampled."
-    )
     coarse: float = field(
         0.67, ge=0.1, le=1, help="Focal length of the views around the LiDAR, in those of the views after them."
     )
     upright: bool = field(False, help="Match the image upright only, not also upside down and on its sides.")
-    equalise: Literal["sweep", "ring"] = field(
-        "ring", help="Ranks of reflectances in the sweep, or in each ring where the sweep has rings."
-    )
-    min_range_m: float = field(1.5, ge=0, le=100, help="Drop points nearer than this, on the vehicle itself.")
     offset_m: float = field(1.0, gt=0, le=10, help="Largest distance of the camera from the LiDAR.")
     reach_px: float = field(6.0, gt=0, le=100, help="Largest residual of a match, in pixels of the virtual views.")
     least: int = field(20, ge=4, le=10_000, help="Refuse a pose on which fewer places of the images agree.")
@@ -88,14 +83,17 @@ class Sweep:
         return rendered(view, self.xyz, self.rank)
 
 
-def reflectances(frame: p2o.Frame, options: MatchesOptions) -> Sweep:
-    """Return the points of a frame, motion-compensated if possible. Raises InputError without intensities."""
+def reflectances(frame: p2o.Frame) -> Sweep:
+    """Return the points of a frame, motion-compensated if possible, with ranks within rings where these are known.
+
+    Raises InputError without intensities.
+    """
     cloud = frame.cloud if frame.twist is None else frame.cloud.untwisted(frame.twist)
     if cloud.intensity is None:
         raise p2o.InputError("the sweep has no intensity, and matches needs it", where=frame.name)
-    far = np.flatnonzero(np.linalg.norm(cloud.xyz, axis=1) >= options.min_range_m)
+    far = np.flatnonzero(np.linalg.norm(cloud.xyz, axis=1) >= _MIN_RANGE_M)
     xyz, intensity = np.asarray(cloud.xyz[far]), np.asarray(cloud.intensity[far])
-    if options.equalise == "ring" and cloud.ring is not None:
+    if cloud.ring is not None:
         return Sweep(xyz, ranked_by_ring(intensity, cloud.ring[far]))
     return Sweep(xyz, by_rank(intensity))
 
@@ -109,11 +107,8 @@ class MatchesCalibration:
 
     def prepare(self, frame: p2o.Frame) -> FrameMatches:
         """Return the matches of a frame. Raises InputError for a sweep without intensities."""
-        options, sweep = self.options, reflectances(frame, self.options)
-        image, coarse = (
-            flattened(frame.image, options.focal_px),
-            flattened(frame.image, options.coarse * options.focal_px),
-        )
+        options, sweep = self.options, reflectances(frame)
+        image, coarse = flattened(frame.image, _FOCAL_PX), flattened(frame.image, options.coarse * _FOCAL_PX)
         parts: list[FrameMatches] = []
         if image is None or coarse is None or not len(sweep.xyz):
             return joined(frame.name, parts)
@@ -125,7 +120,7 @@ class MatchesCalibration:
             first = [self._matched(frame.name, coarse, quarter, turned, *each, quarter) for each in seen]
             parts += first
             matches = pooled(first, quarter)
-            for turn in rotations_of(matches, options.reach_px / options.focal_px, options.offset_m, options.seed):
+            for turn in rotations_of(matches, options.reach_px / _FOCAL_PX, options.offset_m, options.seed):
                 view = sweep.seen(facing(turn, image))
                 parts.append(
                     self._matched(frame.name, image, 0, keypoints, view, self.networks.detect(view.grey), quarter)
@@ -151,7 +146,7 @@ class MatchesCalibration:
         known = np.isfinite(xyz).all(axis=1)
         rays = image.rays(image.turned_back(uv[known], turned))
         plane = rays[:, :2] / rays[:, 2:]
-        column, row = np.floor(plane.T * (self.options.focal_px / _CELL_PX)).astype(np.int64) + (1 << 16)
+        column, row = np.floor(plane.T * (_FOCAL_PX / _CELL_PX)).astype(np.int64) + (1 << 16)
         return FrameMatches(name, rays, xyz[known], row * (1 << 20) + column, np.full(len(rays), quarter))
 
     def pose(self, parts: Sequence[FrameMatches]) -> MatchedPose | None:
@@ -163,7 +158,7 @@ class MatchesCalibration:
         best: MatchedPose | None = None
         for quarter in range(4):
             matches = pooled(parts, quarter)
-            pose = pose_of(matches, options.focal_px, options.reach_px, options.offset_m, options.seed)
+            pose = pose_of(matches, _FOCAL_PX, options.reach_px, options.offset_m, options.seed)
             if pose is not None and (best is None or pose.agree > best.agree):
                 best = pose
         return best

@@ -30,6 +30,9 @@ from p2o_baselines import examples
 from p2o_baselines.histogram import MI, Linear, Plain, Shrunk, Smoothed
 from p2o_baselines.information import SeenPoints, SmoothInformation, Span, counts_of, remembered, sightings
 
+_BANDWIDTH = 1.06  # kernel width over sigma n^(-1/5); 1.06 is Silverman's
+_POINTS = 20_000  # largest number of points per view
+
 
 class MiOptions(p2o.Options):
     """Options of `mi`."""
@@ -39,14 +42,12 @@ class MiOptions(p2o.Options):
         "kernel", help="Shares of levels: smoothed by a Gaussian kernel, shrunk towards equal shares, or as counted."
     )
     per_frame: bool = field(False, help="Average the information of one histogram a frame, instead of a joint one.")
-    bandwidth: float = field(1.06, gt=0, le=10, help="Kernel width over sigma n^(-1/5); 1.06 is Silverman's.")
-    points: int = field(20_000, ge=100, le=10_000_000, help="Largest number of points per view.")
 
 
 def estimator_of(group: Sequence[SeenPoints], camera_from_lidar: Float, options: MiOptions) -> Plain:
     """Return the estimator of probabilities for the points of a histogram, with kernels for those at a pose (4, 4)."""
     if options.estimator == "kernel":
-        return Smoothed.by_silverman(counts_of(group, camera_from_lidar[None])[0], options.bandwidth)
+        return Smoothed.by_silverman(counts_of(group, camera_from_lidar[None])[0], _BANDWIDTH)
     return Shrunk() if options.estimator == "james-stein" else Plain()
 
 
@@ -57,7 +58,7 @@ def build(options: MiOptions) -> p2o.Matcher:
     def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> Objective:
         all_sightings = list(sightings(views))
         span = Span.of([sighting.value for sighting in all_sightings])
-        near = [sighting.near_image(camera_from_lidar, options.points) for sighting in all_sightings]
+        near = [sighting.near_image(camera_from_lidar, _POINTS) for sighting in all_sightings]
         seen = tuple(
             SeenPoints(s.camera, levels(s.grey), s.xyz, span.levels(s.value, options.bins), options.bins)
             for s in near

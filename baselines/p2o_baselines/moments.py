@@ -31,7 +31,6 @@ class MotionOptions(p2o.Options):
         "gicp", help="Motion of the LiDAR: small_gicp, KISS-ICP, or the poses of the frames."
     )
     gap_s: float = field(0.6, gt=0, le=60, help="Largest time between consecutive frames.")
-    least_steps: int = field(3, ge=2, le=1000, help="Least number of steps from frame to frame.")
     open_deg: float = field(2.0, gt=0, le=90, help="Rotations with a larger standard deviation are unobservable.")
     open_m: float = field(0.25, gt=0, le=10, help="Translations with a larger standard deviation are unobservable.")
 
@@ -138,11 +137,13 @@ def moment_of(frame: p2o.Frame, lidar: str) -> Moment:
     )
 
 
-def runs_of(groups: Sequence[Sequence[Moment]], frames: int, options: MotionOptions, *, span: int) -> list[Run]:
+def runs_of(
+    groups: Sequence[Sequence[Moment]], frames: int, options: MotionOptions, *, least_steps: int, span: int
+) -> list[Run]:
     """Return groups with LiDAR poses. Raises RefusedError for few steps, failed odometry, a static LiDAR."""
     steps = sum(len(group) - 1 for group in groups)
-    if steps < options.least_steps:
-        few = f"{steps} steps between consecutive frames, of {frames} frames; {options.least_steps} are needed"
+    if steps < least_steps:
+        few = f"{steps} steps between consecutive frames, of {frames} frames; {least_steps} are needed"
         advice = f"frames of one drive, at most {options.gap_s:g} s apart, calibrated jointly"
         raise RefusedError(p2o.Status.TOO_FEW_MATCHES, f"{few}: {advice}")
     try:

@@ -29,15 +29,15 @@ from p2o_baselines import examples
 from p2o_baselines.histogram import NID, Plain, Spline, ranked_levels
 from p2o_baselines.information import SeenPoints, SmoothInformation, remembered, sightings
 
+_CELL_PX = 1.0  # cell size of the occlusion test, in pixels
+_SLACK_M = 0.1  # largest distance of a visible point behind the nearest one
+_POINTS = 50_000  # largest number of points per view
+
 
 class NidOptions(p2o.Options):
     """Options of `nid`."""
 
     bins: int = field(16, ge=2, le=256, help="Levels of grey, and of reflectance.")
-    cell_px: float = field(1.0, gt=0, le=64, help="Cell size of the occlusion test, in pixels.")
-    slack_m: float = field(0.1, ge=0, le=100, help="Largest distance of a visible point behind the nearest one.")
-    margin_deg: float = field(0.0, ge=0, le=60, help="Margin around the image of points that are included.")
-    points: int = field(50_000, ge=100, le=10_000_000, help="Largest number of points per view.")
 
 
 def build(options: NidOptions) -> p2o.Matcher:
@@ -47,8 +47,8 @@ def build(options: NidOptions) -> p2o.Matcher:
     def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> Objective:
         groups = []
         for sighting in sightings(views):
-            seen = sighting.visible(camera_from_lidar, options.cell_px, options.slack_m)
-            s = seen.near_image(camera_from_lidar, options.points, options.margin_deg)
+            seen = sighting.visible(camera_from_lidar, _CELL_PX, _SLACK_M)
+            s = seen.near_image(camera_from_lidar, _POINTS, margin_deg=0.0)
             if len(s.xyz):
                 row = ranked_levels(s.value, options.bins)
                 groups.append((SeenPoints(s.camera, levels(s.grey), s.xyz, row, options.bins),))

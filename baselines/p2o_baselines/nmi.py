@@ -23,13 +23,14 @@ from p2o_baselines import examples
 from p2o_baselines.histogram import NMI, Hard, Plain, ranked_levels
 from p2o_baselines.information import Information, SeenPoints, remembered, sightings
 
+_POINTS = 20_000  # largest number of points per view
+
 
 class NmiOptions(p2o.Options):
     """Options of `nmi`."""
 
     by: Literal["reflectance", "normals"] = field("reflectance", help="Compare reflectance, or steepness of surfaces.")
     bins: int = field(16, ge=2, le=1024, help="Levels of grey, and of the points' values.")
-    points: int = field(20_000, ge=100, le=10_000_000, help="Largest number of points per view.")
 
 
 def build(options: NmiOptions) -> p2o.Matcher:
@@ -37,7 +38,7 @@ def build(options: NmiOptions) -> p2o.Matcher:
     levels = remembered(lambda grey: Hard(ranked_levels(grey.values, options.bins), options.bins))
 
     def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> Objective:
-        near = [s.near_image(camera_from_lidar, options.points) for s in sightings(views, options.by)]
+        near = [s.near_image(camera_from_lidar, _POINTS) for s in sightings(views, options.by)]
         groups = tuple(
             (SeenPoints(s.camera, levels(s.grey), s.xyz, ranked_levels(s.value, options.bins), options.bins),)
             for s in near

@@ -123,7 +123,6 @@ class Pusztai:
             result,
             fit.camera_from_lidar,
             fit.covariance,
-            options,
             reason=f"{corners} corners of {len(pairs)} boxes are {after:.2f} px off (root mean square)",
             judged=Judged("corners off boxes", "px", before, after),
             remedy="add boxes elsewhere in the image",

@@ -7,17 +7,18 @@ from p2o import field
 
 from p2o_baselines.point_feature import raw_times, rows_in_range
 
+_MAX_RANGE_M = 80.0  # drop points farther than this
+
 
 class ReturnsOptions(p2o.Options):
     """Options of `returns`."""
 
     points: int = field(60_000, ge=100, le=10_000_000, help="Largest number of points per sweep, evenly sampled.")
-    max_range_m: float = field(80.0, gt=1, le=1000, help="Drop points farther than this.")
 
 
 def extract(cloud: p2o.Cloud, options: ReturnsOptions) -> p2o.CloudFeatures:
     """Return the points of a sweep, in the order of their places."""
-    near = rows_in_range(cloud, options.max_range_m)
+    near = rows_in_range(cloud, _MAX_RANGE_M)
     strength = None if cloud.intensity is None else cloud.intensity[near]
     points = p2o.CloudPoints(cloud.xyz[near], strength, time_s=raw_times(cloud, near))
     return p2o.CloudFeatures(points=points.thinned(options.points))

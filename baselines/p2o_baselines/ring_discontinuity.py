@@ -4,7 +4,7 @@ Levinson and Thrun, Automatic Online Calibration of Cameras and Lasers, RSS 2013
 = max(d_(i-1) - d_i, d_(i+1) - d_i, 0)^0.5, d the range and i - 1, i + 1 its neighbours on the ring, so that only the
 nearer side of a jump counts; points with a jump of at most 0.3 m are dropped (their figure, as far as we know).
 
-Departures: points further apart than `max_gap_deg` and 1.4 azimuth steps are not neighbours (a pulse without a return
+Departures: points further apart than 0.6 deg and 1.4 azimuth steps are not neighbours (a pulse without a return
 is no jump); of points of one ring with the same azimuth the nearest is used.
 """
 
@@ -16,14 +16,15 @@ from p2o import Float, Int, field, reading
 
 from p2o_baselines.point_feature import raw_times
 
+_MAX_GAP_DEG = 0.6  # least angle that parts neighbours on a ring
+_MAX_RANGE_M = 100.0  # drop points farther than this
+
 
 class RingDiscontinuityOptions(p2o.Options):
     """Options of `ring-discontinuity`."""
 
     min_jump_m: float = field(0.3, ge=0, help="Smallest range jump to a neighbour on the ring, in metres.")
     power: float = field(0.5, gt=0, le=2, help="Exponent of the jump in the weight of a point.")
-    max_gap_deg: float = field(0.6, gt=0, lt=90, help="Least angle that parts neighbours on a ring.")
-    max_range_m: float = field(100.0, gt=1, help="Drop points farther than this.")
 
 
 def ring_jumps(cloud: p2o.Cloud, min_jump_m: float, max_gap_deg: float) -> tuple[Int, Float]:
@@ -58,8 +59,8 @@ def edges_at(cloud: p2o.Cloud, rows: Int, weight: Float) -> p2o.CloudEdges:
 
 def extract(cloud: p2o.Cloud, options: RingDiscontinuityOptions) -> p2o.CloudFeatures:
     """Return the points in front of range jumps along their ring."""
-    rows, jump_m = ring_jumps(cloud, options.min_jump_m, options.max_gap_deg)
-    near = np.linalg.norm(cloud.xyz[rows], axis=1) <= options.max_range_m
+    rows, jump_m = ring_jumps(cloud, options.min_jump_m, _MAX_GAP_DEG)
+    near = np.linalg.norm(cloud.xyz[rows], axis=1) <= _MAX_RANGE_M
     return p2o.CloudFeatures(edges_at(cloud, rows[near], jump_m[near] ** options.power))
 
 

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 import p2o
-from p2o import ImageMap, field
+from p2o import ImageMap
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,26 +17,23 @@ class SmoothMap(ImageMap):
     word: ClassVar[str] = "image-smoothness"
 
 
-class SmoothnessOptions(p2o.Options):
-    """Options of `smoothness`; defaults are ours, since those of the paper could not be confirmed."""
-
-    blur_px: float = field(1.0, ge=0, le=50, help="Width of the Gaussian before the gradient.")
-    scale: float = field(8.0, gt=0, le=255, help="Gradient (grey levels a pixel) at which the weight is 1/e.")
+# Both are ours, since those of the paper could not be confirmed.
+_BLUR_PX = 1.0  # width of the Gaussian before the gradient
+_SCALE = 8.0  # gradient (grey levels a pixel) at which the weight is 1/e
 
 
-def extract(image: p2o.Image, options: SmoothnessOptions) -> p2o.ImageFeatures:
+def extract(image: p2o.Image) -> p2o.ImageFeatures:
     """Return exp(-|gradient| / scale) of an image."""
     from scipy.ndimage import gaussian_filter
 
-    grey = gaussian_filter(image.grey.astype(np.float64), options.blur_px)
+    grey = gaussian_filter(image.grey.astype(np.float64), _BLUR_PX)
     down, across = np.gradient(grey)
-    return p2o.ImageFeatures(features=[SmoothMap(np.exp(-np.hypot(down, across) / options.scale))])
+    return p2o.ImageFeatures(features=[SmoothMap(np.exp(-np.hypot(down, across) / _SCALE))])
 
 
 METHOD = p2o.Method(
     name="smoothness",
-    build=lambda options: lambda image: extract(image, options),
-    options=SmoothnessOptions,
+    build=lambda options: extract,
     summary="Weights of 1 where the image is smooth, small on its edges.",
     gives={"image-smoothness"},
     cite="Castorena et al., Autocalibration of LIDAR and optical cameras via edge alignment, ICASSP 2016",

@@ -9,7 +9,7 @@ image: sum w |grad psi| / sum |grad psi|. No reflectance, no features, one frame
 
 Departures from the paper: the logarithm of depth is used, so that a step from 5 to 10 m equals one from 20 to 40; the
 cost is divided by the variation without weights, since the plain sum is least with few points in view; the inner
-problem is solved by 40 steps of a primal-dual method (FISTA in the original) at `cell_px`; pixels more than two cells
+problem is solved by 40 steps of a primal-dual method (FISTA in the original) on cells of 6 px; pixels over two cells
 from any point are not counted. The outer search is any solver of an objective. Grid, weights and strength are ours.
 """
 
@@ -67,14 +67,14 @@ def filled(depth: Float, known: Bool, weight: Float, strength: float, iterations
 
 _MARGIN_PX = 100.0  # points so far outside of the image may be brought in by another pose
 _AT_ONCE = 1 << 18  # cells of several maps that are filled together
+_CELL_PX = 6.0  # pixels to a cell of the grid that is filled
+_ITERATIONS = 40  # steps of the inner problem
 
 
 class FusionOptions(p2o.Options):
     """Options of `tv-fusion`."""
 
-    cell_px: float = field(6.0, ge=1, le=100, help="Pixels to a cell of the grid that is filled.")
     strength: float = field(0.02, gt=0, le=100, help="Weight of the variation against the measured log depth.")
-    iterations: int = field(40, ge=1, le=10_000, help="Steps of the inner problem.")
 
 
 def coarse(weight: Float, cell_px: float) -> Float:
@@ -102,7 +102,7 @@ class FusedView:
         uv = self.camera.project(in_camera)
         pose, point = np.nonzero(self.camera.in_image(uv))
         rows, columns = self.weight.shape
-        u, v = (np.maximum(uv[pose, point], 0.0) / self.options.cell_px).astype(np.int64).T
+        u, v = (np.maximum(uv[pose, point], 0.0) / _CELL_PX).astype(np.int64).T
         place = (pose * rows + np.minimum(v, rows - 1)) * columns + np.minimum(u, columns - 1)
         depth = np.full(len(poses) * rows * columns, np.inf)
         np.minimum.at(depth, place, in_camera[pose, point, 2])
@@ -119,7 +119,7 @@ class FusedView:
     def _cost(self, poses: Float) -> Float:
         options = self.options
         depth, known = self.maps(poses)
-        psi = filled(depth, known, self.weight, options.strength, options.iterations)
+        psi = filled(depth, known, self.weight, options.strength, _ITERATIONS)
         near = binary_dilation(known, np.ones((1, 5, 5), np.bool_))
         size = np.where(near, np.hypot(*gradient(psi)), 0.0)
         total = size.sum(axis=(1, 2))
@@ -135,7 +135,7 @@ def build(options: FusionOptions) -> p2o.Matcher:
         if smooth is None or points is None:
             return None
         near = view.camera.in_image(view.camera.project(p2o.se3.apply(pose, points.xyz)), _MARGIN_PX)
-        weight = coarse(smooth.values, options.cell_px)
+        weight = coarse(smooth.values, _CELL_PX)
         return FusedView(view.camera, weight, points.xyz[near], options) if near.any() else None
 
     def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> Objective:

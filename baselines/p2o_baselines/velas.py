@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import p2o
-from p2o import Float, Result, Status, field, se3
+from p2o import Float, Result, Status, se3
 from p2o.solving import Judged
 
 from p2o_baselines import examples
@@ -35,15 +35,10 @@ _ALPHA, _GAMMA = 1 / 3, 0.9
 _STEPS = ((0.2, 0.02), (0.1, 0.01), (0.05, 0.005))  # deg and m; no end is surer than the middle ones
 _WALK = 12
 _SAMPLES, _PARTS = 8, 24  # number of resamplings of the jumps, and of the blocks of neighbours that are resampled
-
-
-class VelasOptions(TargetOptions):
-    """Options of `velas`."""
-
-    fine_deg: float = field(1.5, ge=0, le=20, help="The fine search turns by no more than this about an axis.")
-    fine_m: float = field(0.1, ge=0, le=2, help="The fine search moves by no more than this along an axis.")
-    min_jump_m: float = field(0.3, ge=0, le=50, help="Smallest range jump along a ring.")
-    max_points: int = field(800, ge=50, help="Largest number of jumps per frame.")
+_FINE_DEG = 1.5  # the fine search turns by no more than this about an axis
+_FINE_M = 0.1  # the fine search moves by no more than this along an axis
+_MIN_JUMP_M = 0.3  # smallest range jump along a ring
+_MAX_POINTS = 800  # largest number of jumps per frame
 
 
 @dataclass(frozen=True)
@@ -61,7 +56,7 @@ class Scene:
 class Velas:
     """The calibrator."""
 
-    options: VelasOptions
+    options: TargetOptions
 
     def prepare(self, frame: p2o.Frame) -> Scene:
         """Return boards, edges of the image and jumps of the sweep."""
@@ -69,7 +64,7 @@ class Velas:
         if not sight.in_image or not sight.in_sweep:
             return Scene(sight, frame.camera, np.zeros((1, 1)), np.zeros((0, 3)), np.zeros(0))
         edges = inverse_distance(edge_strength(frame.image.grey), _ALPHA, _GAMMA)
-        rows, jump_m = ring_jumps(frame.cloud, self.options.min_jump_m, 0.6)
+        rows, jump_m = ring_jumps(frame.cloud, _MIN_JUMP_M, 0.6)
         return Scene(sight, frame.camera, edges, frame.cloud.xyz[rows], np.sqrt(jump_m))
 
     def solve(self, prepared: Sequence[Scene], camera_from_lidar: Float) -> Result:
@@ -79,14 +74,14 @@ class Velas:
         if not coarse.status.solved or coarse.covariance is None:
             return coarse
         centre = coarse.camera_from_lidar
-        parts = [on_map(scene, centre, options.max_points) for scene in prepared if len(scene.xyz)]
-        pose = best_pose(parts, centre, centre, _STEPS, options)
+        parts = [on_map(scene, centre, _MAX_POINTS) for scene in prepared if len(scene.xyz)]
+        pose = best_pose(parts, centre, centre, _STEPS)
         rng = np.random.default_rng(0)
         drawn = ([_resampled(part, rng) for part in parts] for _ in range(_SAMPLES))
-        ends = [se3.log(best_pose(each, pose, centre, _STEPS[1:], options) @ se3.inverse(pose)) for each in drawn]
+        ends = [se3.log(best_pose(each, pose, centre, _STEPS[1:]) @ se3.inverse(pose)) for each in drawn]
         steps = np.array([np.radians(_STEPS[1][0])] * 3 + [_STEPS[1][1]] * 3)
         covariance = np.cov(np.array(ends).T) + np.diag(steps**2) + self._shared(prepared)
-        doubt = uncertainty(covariance, pose, REMEDY, options)
+        doubt = uncertainty(covariance, pose, REMEDY)
         if doubt:
             return replace(coarse, camera_from_lidar=coarse.start, status=Status.NOT_OBSERVABLE, reason=doubt)
         moved = pose @ se3.inverse(centre)
@@ -128,11 +123,9 @@ def _cost(parts: Sequence[OnMap], pose: Float) -> float:
     return -sum(float(part.sums(pose[None])[0]) for part in parts) / max(weight, 1e-12)
 
 
-def best_pose(
-    parts: Sequence[OnMap], pose: Float, centre: Float, steps: Sequence[tuple[float, float]], options: VelasOptions
-) -> Float:
+def best_pose(parts: Sequence[OnMap], pose: Float, centre: Float, steps: Sequence[tuple[float, float]]) -> Float:
     """Return the pose of the most correlation that a walk with shrinking steps reaches, within bounds of `centre`."""
-    most = np.r_[np.full(3, np.radians(options.fine_deg)), np.full(3, options.fine_m)]
+    most = np.repeat([np.radians(_FINE_DEG), _FINE_M], 3)
     for deg, metres in steps:
         around = NEIGHBOURS * np.repeat([np.radians(deg), metres], 3)
         for _ in range(_WALK):
@@ -164,7 +157,7 @@ def _apart(poses: Float, centre: Float) -> Float:
 METHOD = p2o.Method(
     name="velas",
     build=Velas,
-    options=VelasOptions,
+    options=TargetOptions,
     summary="One board with round holes: centres first, then edges of image and sweep in a small neighbourhood.",
     needs=frozenset({"targets", "rings"}),
     cite="Velas, Spanel, Materna and Herout, Calibration of RGB camera with Velodyne LiDAR, WSCG 2014",

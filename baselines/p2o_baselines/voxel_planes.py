@@ -13,9 +13,9 @@ hku-mars/livox_camera_calib, outdoors:
 For clouds of 1e5 points per frame and more: static Livox units, or `--accumulate poses`. A single sweep of a spinning
 LiDAR gives almost no edges, on KITTI none.
 
-Departures: 200 samples of three points instead of 500; lines are sampled every `sample_m` = 0.02 m instead of 0.005 m
+Departures: 200 samples of three points instead of 500; lines are sampled every 0.02 m instead of 0.005 m
 (neighbours within a pixel are merged in their code); the two distance thresholds grow with the point spacing of the
-voxel (`near_share`, off at 0), since sweeps accumulated from a moving car are sparser and noisier than theirs.
+voxel, since sweeps accumulated from a moving car are sparser and noisier than theirs.
 """
 
 from __future__ import annotations
@@ -29,24 +29,23 @@ from p2o import Float, Int, field
 from p2o.solving import one_per_voxel
 from scipy.spatial import cKDTree
 
+_MIN_POINTS = 50  # voxels with no more points than this are passed over
+_SAMPLES = 200  # random samples of three points for each plane
+_NEAR_M = 0.03  # farthest point of one plane from an edge, or the usual gap between its points; twice that of the other
+_SAMPLE_M = 0.02  # distance between samples of an edge
+_MIN_SAMPLES = 10  # drop edges with at most this many samples of 5 mm each
+
 
 class VoxelPlanesOptions(p2o.Options):
     """Options of `voxel-planes`."""
 
     voxel_m: float = field(1.0, gt=0, le=20, help="Side of a voxel in metres (outdoors; indoors 0.5).")
     thin_m: float = field(0.02, gt=0, le=1, help="Cubes of this side keep one point.")
-    min_points: int = field(50, ge=3, help="Voxels with no more points than this are passed over.")
     plane_m: float = field(0.015, gt=0, le=1, help="Points this near to a plane belong to it (indoors 0.02).")
     plane_points: int = field(60, ge=3, help="Least points of a plane (indoors 30).")
     max_planes: int = field(5, ge=2, le=50, help="Planes of a voxel at most (indoors 8).")
-    samples: int = field(200, ge=1, le=10_000, help="Random samples of three points for each plane.")
     min_angle_deg: float = field(30.0, ge=0, lt=90, help="Least angle between two planes (indoors 45).")
-    near_m: float = field(0.03, gt=0, le=1, help="Farthest point of one plane from an edge; twice that of the other.")
-    near_share: float = field(1.0, ge=0, le=10, help="Or within this share of the usual gap between its points.")
-    sample_m: float = field(0.02, gt=0, le=1, help="Distance between samples of an edge.")
-    min_samples: int = field(10, ge=1, help="Drop edges with at most this many samples of 5 mm each.")
     max_range_m: float = field(60.0, gt=1, help="Drop points farther than this.")
-    seed: int = field(0, ge=0, help="Seed of the random samples.")
 
 
 def extract(cloud: p2o.Cloud, options: VoxelPlanesOptions) -> p2o.CloudFeatures:
@@ -65,10 +64,10 @@ def plane_edges(xyz: Float, options: VoxelPlanesOptions) -> Iterator[tuple[Float
     order = np.lexsort(cell.T)
     new = np.flatnonzero((np.diff(cell[order], axis=0) != 0).any(axis=1)) + 1
     for rows in np.split(order, new):
-        if len(rows) <= options.min_points:
+        if len(rows) <= _MIN_POINTS:
             continue
         # Seed by position, so that other voxels do not change the random samples of this one.
-        rng = np.random.default_rng([options.seed, *(cell[rows[0]] & 0xFFFFFFFF).tolist()])
+        rng = np.random.default_rng([0, *(cell[rows[0]] & 0xFFFFFFFF).tolist()])
         planes = list(_planes(xyz[rows], rng, options))
         low = cell[rows[0]] * options.voxel_m
         for one, two in combinations(planes, 2):
@@ -97,7 +96,7 @@ def _planes(xyz: Float, rng: np.random.Generator, options: VoxelPlanesOptions) -
 def _most_inside(xyz: Float, rng: np.random.Generator, options: VoxelPlanesOptions) -> Int:
     """Return which points (N,) are near the plane through three of them that most are near to."""
     some = xyz if len(xyz) <= 400 else xyz[rng.choice(len(xyz), 400, replace=False)]
-    corner = some[rng.integers(0, len(some), (options.samples, 3))]
+    corner = some[rng.integers(0, len(some), (_SAMPLES, 3))]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     length = np.linalg.norm(normal, axis=1, keepdims=True)
     normal = np.divide(normal, length, out=np.zeros_like(normal), where=length > 1e-9)
@@ -121,18 +120,18 @@ def _edge(one: Plane, two: Plane, low: Float, options: VoxelPlanesOptions) -> It
     first, last = np.nanmax(reach.min(axis=0)), np.nanmin(reach.max(axis=0))
     if not first < last:
         return
-    at = np.arange(first, last, options.sample_m)
+    at = np.arange(first, last, _SAMPLE_M)
     xyz = point + at[:, None] * along
     nearest = []
     for _, _, points in (one, two):
         tree = cKDTree(points)
         gap = float(np.median(np.asarray(tree.query(points, k=2)[0])[:, 1]))
-        limit = max(options.near_m, options.near_share * gap)
+        limit = max(_NEAR_M, gap)
         nearest.append(np.asarray(tree.query(xyz)[0]) / limit)
     closer, farther = np.minimum(*nearest), np.maximum(*nearest)
     kept = xyz[(closer < 1.0) & (farther < 2.0)]
     # Their ten samples are 5 mm apart.
-    if len(kept) and len(kept) * options.sample_m > options.min_samples * 0.005:
+    if len(kept) and len(kept) * _SAMPLE_M > _MIN_SAMPLES * 0.005:
         yield kept, kept[[0, -1]]
 
 

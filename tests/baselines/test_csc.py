@@ -277,7 +277,9 @@ def test_pictures_in_another_order_are_refused(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(csc, "visual_map_of", lambda *_: known)
     monkeypatch.setattr(csc, "surface_map", lambda *_, **__: surfaces)
     shuffled = poses[[3, 0, 5, 1, 4, 2]]
-    result = method(least_landmarks=10, search=0).solve(moments(shuffled), TRUTH)
+    monkeypatch.setattr(csc, "_LEAST_LANDMARKS", 10)
+    monkeypatch.setattr(csc, "_SEARCH", 1)
+    result = method().solve(moments(shuffled), TRUTH)
     assert not result.status.solved
     assert "move differently" in result.reason or "lie next to a plane" in result.reason
 

@@ -200,7 +200,7 @@ def test_frames_that_contradict_are_refused() -> None:
 def test_drawn_frames_are_calibrated_from_picture_and_sweep() -> None:
     # Head on, and turned three ways.
     boards = [poses(6, seed=1)[k] for k in (0, 3)]
-    stage = velas.METHOD.build(velas.METHOD.options(min_jump_m=0.2))
+    stage = velas.METHOD.build(velas.METHOD.options())
     scenes = [stage.prepare(frame(number, pose)) for number, pose in enumerate(boards)]
     for name in METHODS:
         result = solved(name, [scene.sight for scene in scenes])

@@ -205,8 +205,13 @@ class NoNetworks:
         return np.empty((0, 2)), np.empty((0, 2))
 
 
+@pytest.fixture(autouse=True)
+def _small_views(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(matches, "_FOCAL_PX", 150.0)
+
+
 def calibration(**options: object) -> MatchesCalibration:
-    return MatchesCalibration(MatchesOptions(**{"focal_px": 150.0, **options}), NoNetworks())  # type: ignore[arg-type]
+    return MatchesCalibration(MatchesOptions(**options), NoNetworks())  # type: ignore[arg-type]
 
 
 def test_matches_of_several_frames_are_pooled_by_the_orientation_of_the_image() -> None:

@@ -109,7 +109,6 @@ class BoardMethod:
             replace(result, matches=_matches(pairs)),
             pose,
             covariance,
-            options,
             reason=f"points of {len(pairs)} boards are {1000 * after:.1f} mm from their planes (root mean square)",
             judged=Judged("points off boards", "m", before, after),
             remedy=REMEDY,

@@ -125,9 +125,10 @@ def test_a_solver_that_draws_leaves_the_common_generator_alone(method: p2o.Metho
     assert (np.random.get_state()[1] == before).all()  # noqa: NPY002
 
 
-def test_a_swarm_is_asked_for_at_once() -> None:
+def test_a_swarm_is_asked_for_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(particle_swarm, "_COLLAPSED", 0.0)
     bowl = Bowl()
-    built(particle_swarm.METHOD, particles=50, iterations=20, collapsed=0)(bowl, START)
+    built(particle_swarm.METHOD, particles=50, iterations=20)(bowl, START)
     # Moves, and the first places in each box; a box may be the last one when the moves are spent.
     assert 20 < bowl.asked.count(50) <= 20 + 4
     assert set(bowl.asked) == {1, 50}
