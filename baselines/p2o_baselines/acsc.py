@@ -31,7 +31,8 @@ from p2o_baselines.boards.holes_in_sweep import moved_in_plane, pose_covariance
 from p2o_baselines.boards.pairing import Pair
 from p2o_baselines.boards.rectangle import averaged, in_frame, minimised
 from p2o_baselines.boards.residuals import bearings_by_point, moved
-from p2o_baselines.target_method import Sight, TargetOptions, refused, unsolved
+from p2o_baselines.outcome import refused
+from p2o_baselines.target_method import Sight, TargetOptions, unsolved
 
 _MOVES, _TURNS, _TURN_RAD = 13, 7, np.radians(6.0)
 _LEAST_POINTS, _LEAST_CONTRAST, _LEAST_RIGHT = 40, 1.5, 0.75

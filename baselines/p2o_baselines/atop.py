@@ -35,7 +35,7 @@ from p2o.solving import Judged, pose_from_chart, swarmed
 from pydantic import BaseModel, ConfigDict, Field
 
 from p2o_baselines.cloud_segments import ground_of
-from p2o_baselines.target_method import refused
+from p2o_baselines.outcome import decided, refused
 
 Positive = Annotated[float, Field(gt=0)]
 
@@ -64,7 +64,7 @@ class Cuboid(_Strict):
         """The corners (8, 3) m, the four lower ones first."""
         x, y, z = (np.array(sign) * half for sign, half in zip(_SIGNS, np.array(self.size) / 2, strict=True))
         cos, sin = np.cos(np.radians(self.yaw_deg)), np.sin(np.radians(self.yaw_deg))
-        return np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=1) + np.array(self.centre)
+        return np.asarray(np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=1) + np.array(self.centre))
 
 
 _SIGNS = ((1, 1, -1, -1) * 2, (1, -1, 1, -1) * 2, (-1,) * 4 + (1,) * 4)
@@ -215,7 +215,8 @@ class Atop:
             return refused(blank, "no frame has objects of one kind in image and sweep")
 
         def cost(poses: Float, overlap: bool) -> Float:
-            return np.concatenate([sight.costs(poses, overlap=overlap) for sight in sights], axis=1).mean(axis=1)
+            costs = np.concatenate([sight.costs(poses, overlap=overlap) for sight in sights], axis=1)
+            return np.asarray(costs.mean(axis=1))
 
         rng, half = np.random.default_rng(options.seed), np.repeat([np.radians(options.range_deg), options.range_m], 3)
         pose = self._swarm(lambda poses: cost(poses, False), start, half, rng)
@@ -229,7 +230,7 @@ class Atop:
             reason = "no pose has a higher overlap of boxes than the initial extrinsic"
             return refused(known, reason, Status.NO_IMPROVEMENT)
         reason = f"{matched} objects overlap by {1 - after:.2f} on average"
-        return replace(known, camera_from_lidar=pose, status=Status.CONVERGED, verdict=None, reason=reason)
+        return decided(known, camera_from_lidar=pose, status=Status.CONVERGED, reason=reason)
 
     def _swarm(self, cost: Callable[[Float], Float], start: Float, half: Float, rng: np.random.Generator) -> Float:
         def charted(places: Float) -> Float:

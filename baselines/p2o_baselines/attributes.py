@@ -43,8 +43,10 @@ def extract(cloud: p2o.Cloud, options: AttributesOptions) -> p2o.CloudFeatures:
         return p2o.CloudFeatures()
     xyz = cloud.xyz[near]
     normal = normals_of(xyz, _NEIGHBOURS)
-    about = {"least": options.plane_points, "band_m": _PLANE_BAND_M, "normal_weight": _NORMAL_WEIGHT}
-    segment = planes_of(xyz, normal, np.random.default_rng(0), **about)
+    rng = np.random.default_rng(0)
+    segment = planes_of(
+        xyz, normal, rng, least=options.plane_points, band_m=_PLANE_BAND_M, normal_weight=_NORMAL_WEIGHT
+    )
     loose = segment < 0
     cluster = clusters_of(xyz[loose], options.cluster_m, _CLUSTER_LEAST, _CLUSTER_MOST)
     segment[loose] = np.where(cluster >= 0, cluster + segment.max() + 1, -1)

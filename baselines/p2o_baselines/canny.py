@@ -38,7 +38,7 @@ def edge_pixels(image: Image, options: CannyOptions) -> Bool:
     edges = cv2.Canny(grey, options.low, options.high, L2gradient=True) > 0
     if image.masked is not None:
         edges &= ~image.masked
-    return occlusion.without_short(edges[None], options.min_length_px)[0]
+    return np.asarray(occlusion.without_short(edges[None], options.min_length_px)[0])
 
 
 def edges_of(pixels: Bool) -> ImageFeatures:

@@ -129,7 +129,7 @@ def clusters_of(xyz: Float, tolerance_m: float, least: int, most: int) -> Int:
     if not len(xyz):
         return np.zeros(0, np.int64)
     pairs = cKDTree(xyz).query_pairs(tolerance_m, output_type="ndarray")
-    graph = coo_array((np.ones(len(pairs), np.bool_), (pairs[:, 0], pairs[:, 1])), shape=(len(xyz), len(xyz)))
+    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(xyz), len(xyz)))
     _, label = connected_components(graph, directed=False)
     size = np.bincount(label)
     kept = (size >= least) & (size <= most)

@@ -87,7 +87,7 @@ def _with_drift(seen: Sequence[_Seen], pose: Float, width_px: float, settled: bo
     for _ in range(_DRIFT_TURNS):
         if here.count < _FEWEST or sums.count < _FEWEST:
             return None
-        update = -np.linalg.solve(sums.information(sigma), sums.pull(drift, sigma))
+        update = np.asarray(-np.linalg.solve(sums.information(sigma), sums.pull(drift, sigma)))
         other = p2o.se3.exp(_limited(update[:6])) @ other
         most = np.repeat([0.005, 0.03], 3)
         drift = drift + np.clip(update[6:], -most, most)
@@ -222,7 +222,7 @@ def _neighbours(group: Followed, pose: Float) -> tuple[Int, Int]:
     if len(seen) < _NEIGHBOURS:
         return np.zeros(0, np.int64), np.zeros((0, _NEIGHBOURS), np.int64)
     away, near = cKDTree(uv[seen]).query(group.uv, k=_NEIGHBOURS, distance_upper_bound=_REACH_PX)
-    full = np.isfinite(away).all(axis=1)
+    full = np.asarray(np.isfinite(away).all(axis=1))
     near = seen[np.where(full[:, None], near, 0)]
     distance = np.linalg.norm(points[near], axis=2)
     smooth = distance.max(axis=1) / np.maximum(distance.min(axis=1), 1e-6) < 1 + _STEP

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import p2o
-from p2o import Float, field
+from p2o import Float, Int, field
 from p2o.solving import Objective
 
 from p2o_baselines.lane_pole_cloud import LANE, POLE, LanePolePoints
@@ -44,7 +44,7 @@ class LanePoleView:
     camera: p2o.Camera
     distance: LanePoleMap
     xyz: Float
-    kind: Float
+    kind: Int
     weight: Float
     soft_px: float
 

@@ -22,7 +22,7 @@ covariances and refusals are ours.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import ClassVar
 
@@ -34,6 +34,7 @@ from p2o.solving import TimeOffset
 from p2o_baselines import examples, moments
 from p2o_baselines.hand_eye_equations import HandEye, Steps, first_guess, lengths
 from p2o_baselines.moments import Moment, MotionCalibration, MotionOptions, RefusedError, Run
+from p2o_baselines.outcome import decided
 from p2o_baselines.structure import Consistency, Stretch, searched, solved, surface_map
 from p2o_baselines.visual_map import VisualMap, corner_tracks, visual_map
 
@@ -70,11 +71,10 @@ class CscCalibration(MotionCalibration):
         runs, known = self._maps(prepared, matches)
         consistency = self._solution(known, matches)
         delayed = consistency.delay_sigma_s < 0.05
-        return replace(
+        return decided(
             result,
             camera_from_lidar=consistency.camera_from_lidar,
             status=Status.CONVERGED if consistency.settled else Status.ROUNDS_SPENT,
-            verdict=None,
             reason=self._checked(runs, consistency, matches["steps"]),
             covariance=consistency.covariance,
             accuracy=moments.accuracy(consistency.covariance),

@@ -100,7 +100,7 @@ class Cues:
         views = [each.untwisted(twists[each.name]) if each.name in twists else each for each in looks]
         both = _Sum(
             pose,
-            np.linalg.inv(result.covariance),
+            np.asarray(np.linalg.inv(result.covariance)),
             self._objective(views, pose),
             sum(_in_picture(view, pose) for view in views) / self.options.alike,
         )

@@ -166,13 +166,14 @@ def read_networks(features: str, keypoints: int, device: str) -> KeypointMatcher
     """Return detector and matcher. Raises MethodUnavailable without weights or networks, InputError for other files."""
     try:
         from kornia.feature import DISK, LightGlue
-        from kornia.feature.aliked import ALIKED
+        from kornia.feature.aliked.aliked import ALIKED
         from kornia.feature.xfeat import XFeat
     except ImportError as problem:
         what = f"keypoints {features} need kornia 0.9 or later"
         raise p2o.MethodUnavailable(what, hint='pip install "p2o-calib[matches]"') from problem
     weights = FEATURES[features]
     detector_file, matcher_file = files_of(features)
+    detector: Any
     if features == "xfeat":
         detector, part = XFeat(top_k=keypoints), "net"
     elif features == "disk":
@@ -182,7 +183,7 @@ def read_networks(features: str, keypoints: int, device: str) -> KeypointMatcher
     state = _read(detector_file)
     _load(getattr(detector, part) if part else detector, state.get("extractor", state), detector_file)
     shape = {key: value for key, value in LightGlue.features[weights.network].items() if key != "weights"}
-    matcher = LightGlue(None, **{**shape, "flash": False})
+    matcher = LightGlue(None, **{**shape, "flash": False})  # type: ignore[arg-type]  # None: load no weights
     state = {name.removeprefix("matcher."): value for name, value in _read(matcher_file).items()}
     for layer in range(matcher.conf.n_layers):
         for block in ("self_attn", "cross_attn"):

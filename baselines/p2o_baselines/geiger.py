@@ -54,16 +54,17 @@ class Combinations:
         choices = [(board, pieces) for s in sights for board in s.in_image if (pieces := of_size(s, board))]
         if len(choices) < 3:
             return
-        rng, tried, seen = np.random.default_rng(self.seed), 0, set()
+        rng, tried = np.random.default_rng(self.seed), 0
+        seen: set[tuple[int, ...]] = set()
         for _ in range(4 * self.most):
             three = tuple(sorted(rng.choice(len(choices), 3, replace=False).tolist()))
             if three in seen:
                 continue
             seen.add(three)
-            for pieces in product(*(choices[at][1] for at in three)):
-                if len({id(piece) for piece in pieces}) < 3:
+            for combination in product(*(choices[at][1] for at in three)):
+                if len({id(piece) for piece in combination}) < 3:
                     continue
-                pose = posed([choices[at][0] for at in three], pieces)
+                pose = posed([choices[at][0] for at in three], combination)
                 if pose is not None:
                     yield pose
                 tried += 1

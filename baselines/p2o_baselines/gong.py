@@ -27,7 +27,8 @@ from p2o_baselines import examples
 from p2o_baselines.bodies.box_pairing import box_sight_of, missing_boxes
 from p2o_baselines.bodies.bundle import adjusted
 from p2o_baselines.bodies.trihedron import TrihedronInPicture, TrihedronInSweep, of_faces, of_picture
-from p2o_baselines.target_method import Sight, TargetOptions, refused, solved, unsolved
+from p2o_baselines.outcome import refused
+from p2o_baselines.target_method import Sight, TargetOptions, solved, unsolved
 
 _LEAST = 2
 _CYCLES = [(0, 1, 2), (1, 2, 0), (2, 0, 1)]
@@ -122,7 +123,7 @@ def _angles_deg(corner: Corner, start: Float) -> Float:
     tips = flat.seen(flat.rays(image.corner) + 0.01 * corner.sweep.ways @ start[:3, :3].T) - image.corner
     size = np.linalg.norm(tips, axis=1)
     cosine = np.einsum("ki,ki->k", tips, image.ways) / np.where(size > 0, size, 1.0)
-    return np.degrees(np.arccos(np.clip(np.nan_to_num(cosine, nan=-1.0), -1, 1)))
+    return np.asarray(np.degrees(np.arccos(np.clip(np.nan_to_num(cosine, nan=-1.0), -1, 1))))
 
 
 @dataclass(frozen=True)

@@ -155,7 +155,9 @@ def lengths(camera_from_lidar: Float, steps: Steps) -> Float:
     rotation, t = camera_from_lidar[:3, :3], camera_from_lidar[:3, 3]
     predicted = steps.lidar[:, :3, 3] @ rotation.T - (steps.camera[:, :3, :3] - np.eye(3)) @ t
     own = steps.camera[:, :3, 3]
-    return np.where(steps.metric, np.linalg.norm(own, axis=1), np.maximum((own * predicted).sum(axis=1), 0.0))
+    return np.asarray(
+        np.where(steps.metric, np.linalg.norm(own, axis=1), np.maximum((own * predicted).sum(axis=1), 0.0))
+    )
 
 
 def first_guess(steps: Steps) -> tuple[Float, Float]:

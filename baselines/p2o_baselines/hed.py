@@ -124,7 +124,7 @@ def edge_probability(parameters: Mapping[str, torch.Tensor], rgb: UInt8, scale: 
         if scale != 1.0:
             seen = [max(round(scale * side), 16) for side in size]
             x = F.interpolate(x, size=seen, mode="bilinear", antialias=True, align_corners=False)
-        sides = []
+        sides: list[torch.Tensor] = []
         for block, channels in enumerate(_BLOCKS, 1):
             if block > 1:
                 x = F.max_pool2d(x, 2, ceil_mode=True)

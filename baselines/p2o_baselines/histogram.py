@@ -144,7 +144,7 @@ def joint_counts(row: Int, column: Int, weight: Float, rows: int, columns: int) 
     """Return joint histograms (B, R, C) of rows (N,), the same for all, and columns (B, N), with weights (B, N)."""
     many = len(column)
     cell = (np.arange(many)[:, None] * rows + row) * columns + column
-    return np.bincount(cell.ravel(), weight.ravel(), many * rows * columns).reshape(many, rows, columns)
+    return np.asarray(np.bincount(cell.ravel(), weight.ravel(), many * rows * columns).reshape(many, rows, columns))
 
 
 # ---- estimators
@@ -156,7 +156,7 @@ class Plain:
 
     def shares(self, counts: Float) -> Float:
         """Return probabilities (B, R, C) of counts (B, R, C); zero without counts."""
-        return counts / np.maximum(counts.sum(axis=(-2, -1), keepdims=True), 1e-12)
+        return np.asarray(counts / np.maximum(counts.sum(axis=(-2, -1), keepdims=True), 1e-12))
 
     def slope(self, counts: Float, by_shares: Float) -> Float:
         """Return derivatives (R, C) by counts (R, C) of what has derivatives `by_shares` (R, C)."""
@@ -201,7 +201,7 @@ class Shrunk(Plain):
         """Return k (B,) of counts (B, R, C)."""
         p, total = super().shares(counts), counts.sum(axis=(-2, -1))
         spread = np.maximum((total - 1) * ((p - 1 / p[0].size) ** 2).sum(axis=(-2, -1)), 1e-12)
-        return np.clip((1 - (p**2).sum(axis=(-2, -1))) / spread, 0.0, 1.0)
+        return np.asarray(np.clip((1 - (p**2).sum(axis=(-2, -1))) / spread, 0.0, 1.0))
 
     def shares(self, counts: Float) -> Float:
         k = self.share_of_target(counts)[:, None, None]

@@ -97,7 +97,7 @@ class Information:
         if not self.groups:
             return np.full(len(poses), self.measure.worst)
         parts = zip(self.groups, self.estimators, strict=True)
-        return np.mean([self._costs(group, estimator, poses) for group, estimator in parts], axis=0)
+        return np.asarray(np.mean([self._costs(group, estimator, poses) for group, estimator in parts], axis=0))
 
     def objective(self) -> Objective:
         """Return the cost as what matchers give."""
@@ -148,7 +148,7 @@ class SmoothInformation(Information):
 
 def counts_of(group: Sequence[SeenPoints], poses: Float) -> Float:
     """Return the joint histograms (B, R, C) of all sweeps of a group together."""
-    return np.sum([part.counts(poses) for part in group], axis=0)
+    return np.asarray(np.sum([part.counts(poses) for part in group], axis=0))
 
 
 # ---- selection of points

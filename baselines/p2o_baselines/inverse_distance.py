@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 import p2o
-from p2o import Float, field
+from p2o import Float, UInt8, field
 from p2o.solving import Objective
 
 _CHUNK = 1 << 17  # number of points sampled at once, over all poses: about the size of a core's cache
@@ -21,7 +21,7 @@ class InverseDistanceMap(p2o.ImageMap):
     word: ClassVar[str] = "image-idt"
 
 
-def edge_strength(grey: Float) -> Float:
+def edge_strength(grey: Float | UInt8) -> Float:
     """Return the largest difference (H, W) of each pixel of `grey` (H, W) to one of its eight neighbours."""
     from scipy.ndimage import maximum_filter, minimum_filter
 

@@ -29,7 +29,8 @@ from p2o_baselines.boards.pairing import from_points
 from p2o_baselines.bodies.bundle import adjusted
 from p2o_baselines.bodies.sphere_in_picture import SphereInPicture, spheres_in_picture
 from p2o_baselines.bodies.sphere_in_sweep import SphereInSweep, off_sphere, range_sigma, spheres_in_sweep
-from p2o_baselines.target_method import Sight, TargetOptions, missing_targets, once_per_sweep, refused, solved, unsolved
+from p2o_baselines.outcome import refused
+from p2o_baselines.target_method import Sight, TargetOptions, missing_targets, once_per_sweep, solved, unsolved
 
 _LEVER_M = 3.0  # maximum distance between the sensors, so that a ball has about the same range from both
 _MOST_TRIPLES = 20_000
@@ -113,7 +114,7 @@ def _once(choices: Sequence[SpherePair], off: Float) -> list[int]:
 def _triples(count: int, seed: int) -> list[tuple[int, ...]]:
     rng = np.random.default_rng(seed)
     if count <= 40:
-        every = list(combinations(range(count), 3))
+        every: list[tuple[int, ...]] = list(combinations(range(count), 3))
         rng.shuffle(every)
         return every
     return [tuple(rng.choice(count, 3, replace=False).tolist()) for _ in range(_MOST_TRIPLES)]

@@ -14,7 +14,7 @@ from typing import ClassVar
 
 import numpy as np
 import p2o
-from p2o import Bool, ImageMap, UInt8
+from p2o import Bool, Float, ImageMap, UInt8
 
 FAR_PX = 60.0  # distances to a lane or pole are truncated here
 
@@ -42,8 +42,8 @@ def strips(grey: UInt8, across: tuple[int, int]) -> tuple[Bool, Bool]:
     window = np.ones(across, np.uint8)
     around = cv2.blur(grey, (31, 31)).astype(np.float64)
     least = np.maximum(_CONTRAST * around, _LEAST_CONTRAST)
-    hats = (cv2.morphologyEx(grey, kind, window) > least for kind in (cv2.MORPH_TOPHAT, cv2.MORPH_BLACKHAT))
-    return tuple(np.asarray(each) for each in hats)
+    bright, dark = (cv2.morphologyEx(grey, kind, window) > least for kind in (cv2.MORPH_TOPHAT, cv2.MORPH_BLACKHAT))
+    return np.asarray(bright), np.asarray(dark)
 
 
 def lanes_in(grey: UInt8, first_row: int) -> Bool:
@@ -79,11 +79,11 @@ def build(options: p2o.Options) -> p2o.ImageExtractor:
     """Return the extractor of the distance to lanes and poles."""
     import cv2
 
-    def distance(mask: Bool) -> np.ndarray:
+    def distance(mask: Bool) -> Float:
         if not mask.any():
             return np.full(mask.shape, FAR_PX)
         away = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-        return np.minimum(away.astype(np.float64), FAR_PX)
+        return np.asarray(np.minimum(away.astype(np.float64), FAR_PX))
 
     def extract(image: p2o.Image) -> p2o.ImageFeatures:
         middle = image.camera.project(np.array([[0.0, 0.0, 1.0]]))[0, 1]

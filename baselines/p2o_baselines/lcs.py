@@ -44,7 +44,7 @@ def chains(pixels: Bool) -> list[Int]:
     """Return the 8-connected chains (M, 2), u and v, of edge pixels (H, W), each pixel in one, through junctions."""
     # A border of zeros makes bounds checks unnecessary.
     free = np.pad(np.asarray(pixels, np.bool_), 1)
-    around = sum(np.roll(free, step, axis=(0, 1)).astype(np.int8) for step in _AROUND)
+    around = np.stack([np.roll(free, step, axis=(0, 1)) for step in _AROUND]).sum(axis=0)
     v, u = np.nonzero(free)
     ends_first = np.argsort(around[v, u] > 1, kind="stable")
     left = set(zip(v.tolist(), u.tolist(), strict=True))
@@ -111,7 +111,7 @@ def _bends(chain: Int, off_px: float) -> Int:
     return np.array(sorted(keep), np.int64)
 
 
-def line_rms_px(uv: Float) -> float:
+def line_rms_px(uv: Float | Int) -> float:
     """Return the root mean square distance of pixels (M, 2) from the line that fits them best."""
     offset = uv - uv.mean(axis=0)
     return float(np.sqrt(max(np.linalg.eigvalsh(offset.T @ offset)[0], 0.0) / len(uv)))
@@ -125,7 +125,7 @@ class Arc(NamedTuple):
     angle_deg: float
 
 
-def arc_of(uv: Float) -> Arc:
+def arc_of(uv: Float | Int) -> Arc:
     """Return the circle that fits pixels (M, 2) of a chain best, by Kasa's fit; of infinite radius for a line."""
     middle = uv.mean(axis=0)
     offset = uv - middle

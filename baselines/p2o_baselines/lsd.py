@@ -53,7 +53,7 @@ def segments(image: p2o.Image, min_length_px: float) -> Float:
     ends = np.clip(detected.reshape(-1, 2, 2).astype(np.float64), 0.0, last)
     ends = ends[np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) >= max(min_length_px, 1e-6)]
     if image.masked is None or not len(ends):
-        return ends
+        return np.asarray(ends)
     uv, segment = points_along(ends)
     u, v = np.rint(uv).astype(np.int64).T
     return np.asarray(ends[np.bincount(segment, image.masked[v, u], len(ends)) == 0])

@@ -85,7 +85,7 @@ def cells_of(normal: Float, across: int = 6) -> tuple[Int, Float]:
     _, cell = np.unique((axis * across + u) * across + v, return_inverse=True)
     count = int(cell.max(initial=0)) + 1
     mean = np.stack([np.bincount(cell, upright[:, k], count) for k in range(3)], axis=1)
-    mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12)
+    mean = mean / np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12)
     return cell, np.minimum(np.abs(mean @ mean.T), 1.0)
 
 
@@ -175,7 +175,9 @@ def build(options: MaskOptions) -> p2o.Matcher:
 
     def masks(view: p2o.View) -> ImageMasks | None:
         if not options.masks:
-            return view.get(ImageMasks.word)
+            found = view.get(ImageMasks.word)
+            assert found is None or isinstance(found, ImageMasks)
+            return found
         shape = (view.camera.height, view.camera.width)
         if (view.name, shape) not in read:
             least_px = min(shape[0] * shape[1] / 1200, 2000)
@@ -184,14 +186,16 @@ def build(options: MaskOptions) -> p2o.Matcher:
 
     def masked(view: p2o.View, pose: Float) -> MaskedView | None:
         shapes, points = masks(view), view.get(CloudSegments.word)
-        known = shapes is not None and points is not None and len(shapes)
-        return MaskedView.of(view.camera, shapes, points, pose, options) if known else None
+        if shapes is None or points is None or not len(shapes):
+            return None
+        return MaskedView.of(view.camera, shapes, points, pose, options)
 
     def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> Objective:
         known = [masked(view, camera_from_lidar) for view in views]
 
         def cost(poses: Float) -> Float:
-            return np.mean([np.full(len(poses), 2.0) if each is None else each.cost(poses) for each in known], axis=0)
+            costs = [np.full(len(poses), 2.0) if each is None else each.cost(poses) for each in known]
+            return np.asarray(np.mean(costs, axis=0))
 
         return Objective(cost)
 

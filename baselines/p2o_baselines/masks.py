@@ -162,14 +162,13 @@ def superpixels(rgb: UInt8, kind: str, size_px: int) -> Int:
     lab = cv2.cvtColor(rgb, cv2.COLOR_RGB2Lab)
     height, width = lab.shape[:2]
     if kind == "slic":
-        superpixels = cv2.ximgproc.createSuperpixelSLIC(lab, cv2.ximgproc.SLICO, size_px, 10.0)
-        superpixels.iterate(10)
-        superpixels.enforceLabelConnectivity(25)
-    else:
-        count = max(2, round(height * width / size_px**2))
-        superpixels = cv2.ximgproc.createSuperpixelSEEDS(width, height, 3, count, 4)
-        superpixels.iterate(lab, 10)
-    return np.asarray(superpixels.getLabels(), np.int64)
+        slic = cv2.ximgproc.createSuperpixelSLIC(lab, cv2.ximgproc.SLICO, size_px, 10.0)
+        slic.iterate(10)
+        slic.enforceLabelConnectivity(25)
+        return np.asarray(slic.getLabels(), np.int64)
+    seeds = cv2.ximgproc.createSuperpixelSEEDS(width, height, 3, max(2, round(height * width / size_px**2)), 4)
+    seeds.iterate(lab, 10)
+    return np.asarray(seeds.getLabels(), np.int64)
 
 
 def build(options: MasksOptions) -> p2o.ImageExtractor:

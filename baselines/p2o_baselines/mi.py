@@ -19,7 +19,7 @@ are not counted; over the last 10 px to the border their weight decreases, so th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Literal
 
 import p2o
@@ -53,7 +53,9 @@ def estimator_of(group: Sequence[SeenPoints], camera_from_lidar: Float, options:
 
 def build(options: MiOptions) -> p2o.Matcher:
     """Return the matcher `(views, camera_from_lidar (4, 4), reach_px) -> Objective`: minus mutual information."""
-    levels = remembered(lambda grey: Linear(grey.values * ((options.bins - 1) / 255), options.bins))
+    levels: Callable[[p2o.GreyMap], Linear] = remembered(
+        lambda grey: Linear(grey.values * ((options.bins - 1) / 255), options.bins)
+    )
 
     def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> Objective:
         all_sightings = list(sightings(views))

@@ -36,7 +36,7 @@ def form_of(pairs: Sequence[Pair]) -> tuple[Float, Float]:
         by_shift = np.broadcast_to(normal, xyz.shape)
         rows = np.concatenate([by_turn, np.full((len(xyz), 1), -pair.board.offset_m), by_shift], axis=1)
         gram += rows.T @ rows
-    shift = -np.linalg.solve(gram[10:, 10:], gram[10:, :10])
+    shift = np.asarray(-np.linalg.solve(gram[10:, 10:], gram[10:, :10]))
     return gram[:10, :10] + gram[:10, 10:] @ shift, shift
 
 

@@ -17,6 +17,8 @@ import p2o
 from p2o import Bool, Float, UInt8, field
 from p2o.solving import Accuracy, image_at_scale
 
+from p2o_baselines.outcome import refused
+
 _THEN_M = 0.3
 """Sweeps are registered a second time without points farther than this from the other one, such as dynamic objects."""
 _MAP_M = 0.5
@@ -94,7 +96,7 @@ class MotionCalibration:
         try:
             result = self._solved(result, prepared, matches)
         except RefusedError as refusal:
-            result = replace(result, verdict=None, status=refusal.status, reason=refusal.reason)
+            result = refused(result, refusal.reason, refusal.status)
         cameras = {moment.camera for moment in prepared} if result.status.solved else set()
         camera = cameras.pop() if len(cameras) == 1 else None
         return replace(result, matches=matches, intrinsics=camera, seconds={self.part: time.perf_counter() - began})

@@ -19,7 +19,7 @@ of 1e-6, because empty cells do not contribute; the mean over frames replaces th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import p2o
 from p2o import Float, field
@@ -42,7 +42,9 @@ class NidOptions(p2o.Options):
 
 def build(options: NidOptions) -> p2o.Matcher:
     """Return the matcher `(views, camera_from_lidar (4, 4), reach_px) -> Objective`: the information distance."""
-    levels = remembered(lambda grey: Spline(ranked_levels(grey.values, options.bins), options.bins))
+    levels: Callable[[p2o.GreyMap], Spline] = remembered(
+        lambda grey: Spline(ranked_levels(grey.values, options.bins), options.bins)
+    )
 
     def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> Objective:
         groups = []

@@ -12,7 +12,7 @@ determines shading. With more levels than the points can fill, the measure incre
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Literal
 
 import p2o
@@ -35,7 +35,9 @@ class NmiOptions(p2o.Options):
 
 def build(options: NmiOptions) -> p2o.Matcher:
     """Return the matcher `(views, camera_from_lidar (4, 4), reach_px) -> Objective`: minus their information."""
-    levels = remembered(lambda grey: Hard(ranked_levels(grey.values, options.bins), options.bins))
+    levels: Callable[[p2o.GreyMap], Hard] = remembered(
+        lambda grey: Hard(ranked_levels(grey.values, options.bins), options.bins)
+    )
 
     def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> Objective:
         near = [s.near_image(camera_from_lidar, _POINTS) for s in sightings(views, options.by)]

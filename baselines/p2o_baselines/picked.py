@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import p2o
@@ -101,7 +102,7 @@ def _remarks(solved: PickedPose, prepared: Sequence[PickedFrame]) -> list[str]:
     return lines
 
 
-def _rivalry(solved: PickedPose) -> dict[str, object]:
+def _rivalry(solved: PickedPose) -> dict[str, Any]:
     """Return the fields of a result that describe a second pose which fits the picks."""
     if solved.rival is None or solved.camera_from_lidar is None:
         return {}

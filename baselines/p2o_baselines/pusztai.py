@@ -25,7 +25,8 @@ from p2o.solving import Judged
 from p2o_baselines import examples
 from p2o_baselines.bodies.box_pairing import BoxPair, box_sight_of, missing_boxes, paired_boxes, warnings_of
 from p2o_baselines.bodies.bundle import adjusted
-from p2o_baselines.target_method import Sight, TargetOptions, refused, solved, unsolved
+from p2o_baselines.outcome import refused
+from p2o_baselines.target_method import Sight, TargetOptions, solved, unsolved
 
 _MOST_OFF_PX, _MOST_MOVED = 4.0, 5.0
 """Corners with larger residuals, or cuboids moved by more standard deviations, belong to other boxes."""

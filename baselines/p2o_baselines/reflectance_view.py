@@ -133,7 +133,7 @@ def rendered(view: VirtualView, xyz: Float, value: Float) -> Rendering:
     """Return the image of points (N, 3) with values (N,) in a view: hidden points removed, holes filled, equalised."""
     shape = view.height, view.width
     uv = view.project(xyz)
-    inside = np.isfinite(uv).all(axis=1)
+    inside = np.asarray(np.isfinite(uv).all(axis=1))
     inside[inside] &= (uv[inside] > -0.5).all(axis=1) & (uv[inside] < [view.width - 0.5, view.height - 0.5]).all(axis=1)
     rows = np.flatnonzero(inside)
     depth = xyz[rows] @ view.view_from_lidar[2]
@@ -245,7 +245,7 @@ def flattened(image: p2o.Image, focal_px: float) -> FlatImage | None:
     width, height = np.clip(np.ceil((high - low) * focal_px).astype(int) + 1, _LEAST_PX, 2 * _MOST_PX)
     xy = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1) / focal_px + low
     uv = camera.project(np.concatenate([xy, np.ones((height, width, 1))], axis=-1)).astype(np.float32)
-    inside = camera.in_image(uv)
+    inside = camera.in_image(np.asarray(uv, np.float64))
     if image.masked is not None:
         at = np.where(inside[..., None], np.rint(np.nan_to_num(uv)), 0).astype(np.int64)
         inside &= ~image.masked[at[..., 1].clip(0, camera.height - 1), at[..., 0].clip(0, camera.width - 1)]

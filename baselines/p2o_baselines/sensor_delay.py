@@ -114,7 +114,7 @@ def delay_of(
 
     def off(delay_s: float) -> Float:
         lidar_turns = np.concatenate([drive.lidar_turn(delay_s, each) for drive, each in pairs])
-        return np.linalg.norm(turns - lidar_turns @ camera_from_lidar[:3, :3].T, axis=1)
+        return np.asarray(np.linalg.norm(turns - lidar_turns @ camera_from_lidar[:3, :3].T, axis=1))
 
     span = steps[:, 1] - steps[:, 0] + 1.0
     every = np.array([off(delay_s) for delay_s in delays_s]) / np.sqrt(span)

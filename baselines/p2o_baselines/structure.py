@@ -218,7 +218,7 @@ def searched(
 
     optimum = differential_evolution(
         cost,
-        list(zip((-half).tolist(), half.tolist(), strict=True)),
+        np.stack([-half, half], axis=1).tolist(),
         x0=np.zeros(7),
         popsize=6,
         maxiter=rounds,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -11,6 +11,8 @@ import numpy as np
 import p2o
 from p2o import Float, Result, Status, field, se3
 from p2o.solving import Accuracy, Judged
+
+from p2o_baselines.outcome import decided, refused
 
 _Z_95 = 1.9  # ratio of the 95 % bound to the standard deviation: 1.96 for one direction, 1.61 for three equal ones
 _SCATTER_M = 0.04  # largest scatter of ranges on the surface of a target
@@ -101,11 +103,6 @@ def unsolved(sights: Sequence[Sight], start: Float) -> Result:
     return Result(tuple(sight.name for sight in sights), start, start, Status.NO_FEATURES, "")
 
 
-def refused(result: Result, reason: str, status: Status = Status.NO_FEATURES) -> Result:
-    """Return an unsolved result with the status and the reason of its refusal."""
-    return replace(result, verdict=None, status=status, reason=reason)
-
-
 def solved(
     result: Result,
     pose: Float,
@@ -119,11 +116,10 @@ def solved(
     doubt = uncertainty(covariance, pose, remedy)
     if covariance is None or doubt:
         return refused(result, doubt, Status.NOT_OBSERVABLE)
-    return replace(
+    return decided(
         result,
         camera_from_lidar=pose,
         status=Status.CONVERGED,
-        verdict=None,  # follows from the status
         reason=reason,
         covariance=covariance,
         accuracy=accuracy_of(covariance, pose),

@@ -143,10 +143,10 @@ def chained(tracks: Tracks, key_frames: Sequence[int], steps: Sequence[CameraSte
     length = 1.0
     for number, (before, after) in enumerate(pairwise(steps), start=1):
         first, here, second = key_frames[number - 1 : number + 2]
-        one, *one_rays = tracks.shared(first, here)
-        other, *other_rays = tracks.shared(here, second)
-        near = _depths(*one_rays, before.second_from_first)[1] * length
-        far = _depths(*other_rays, after.second_from_first)[0]
+        one, one_first, one_here = tracks.shared(first, here)
+        other, other_here, other_second = tracks.shared(here, second)
+        near = _depths(one_first, one_here, before.second_from_first)[1] * length
+        far = _depths(other_here, other_second, after.second_from_first)[0]
         _, row, column = np.intersect1d(one, other, assume_unique=True, return_indices=True)
         ratio = near[row] / far[column]
         ratio = ratio[np.isfinite(ratio) & (ratio > 0)]
@@ -227,7 +227,7 @@ def _widest_deg(poses: Float, moment: Int, xyz: Float, landmark: Int) -> Float:
     first[landmark[::-1]] = direction[::-1]
     cosine = np.full(len(xyz), 1.0)
     np.minimum.at(cosine, landmark, np.nan_to_num((direction * first[landmark]).sum(axis=1), nan=1.0))
-    return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+    return np.asarray(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
 
 
 def _off_px(poses: Float, moment: Int, ray: Float, xyz: Float, focal_px: float) -> Float:

@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import p2o
@@ -68,7 +69,7 @@ def follow(first: UInt8, second: UInt8, uv: Float) -> Float:
         return np.zeros((0, 2))
     corners = np.ascontiguousarray(uv, np.float32).reshape(-1, 1, 2)
     ends = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 0.005)
-    options = {"winSize": (21, 21), "maxLevel": 5, "criteria": ends}
+    options: dict[str, Any] = {"winSize": (21, 21), "maxLevel": 5, "criteria": ends}
     uv_second, status, _ = cv2.calcOpticalFlowPyrLK(first, second, corners, None, **options)
     back, again, _ = cv2.calcOpticalFlowPyrLK(second, first, uv_second, None, **options)
     far = np.linalg.norm((back - corners).reshape(-1, 2), axis=1)
@@ -98,7 +99,7 @@ def camera_step(first_rays: Float, second_rays: Float, focal_px: float) -> Camer
         return None
     # On the plane one unit ahead.
     here, later = (rays[known] / rays[known, 2:] for rays in (first_rays, second_rays))
-    ransac = {"method": cv2.USAC_ACCURATE, "prob": 0.9999, "threshold": _AGREE_PX / focal_px}
+    ransac: dict[str, Any] = {"method": cv2.USAC_ACCURATE, "prob": 0.9999, "threshold": _AGREE_PX / focal_px}
     essential, _ = cv2.findEssentialMat(here[:, :2], later[:, :2], np.eye(3), **ransac)
     starts = [p2o.se3.make(_pure_rotation(here, later), axis) for axis in np.eye(3)]
     if essential is not None and essential.shape[0] >= 3:

@@ -114,7 +114,7 @@ def _edge(one: Plane, two: Plane, low: Float, options: VoxelPlanesOptions) -> It
     along /= np.linalg.norm(along)
     middle = low + 0.5 * options.voxel_m
     # The point of both planes that is nearest to the middle of the voxel.
-    point = np.linalg.solve(np.vstack([one[0], two[0], along]), [one[1], two[1], along @ middle])
+    point = np.linalg.solve(np.vstack([one[0], two[0], along]), np.array([one[1], two[1], along @ middle]))
     with np.errstate(divide="ignore", invalid="ignore"):
         reach = (np.stack([low, low + options.voxel_m]) - point) / along
     first, last = np.nanmax(reach.min(axis=0)), np.nanmin(reach.max(axis=0))

@@ -137,4 +137,4 @@ def towards_background(xyz: Float, side: Side) -> Float:
         return rising if side is Side.LEFT else -rising
     far = np.maximum(np.linalg.norm(xyz, axis=1), 1e-9)
     rising = np.column_stack([-xyz[:, 0] * xyz[:, 2] / flat, -xyz[:, 1] * xyz[:, 2] / flat, flat]) / far[:, None]
-    return rising if side is Side.UPPER else -rising
+    return np.asarray(rising if side is Side.UPPER else -rising)

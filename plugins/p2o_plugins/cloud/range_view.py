@@ -115,7 +115,7 @@ def jumps_between(seen: Scattered, near: Around, behind: Neighbours, side: Side,
         back = behind.row[rows]
         predicted = _continued(seen, near, back, rows, jump[rows])
         rows = rows[~(r[back] - predicted > GRAZING_SHARE * jump[rows])]
-    return rows
+    return np.asarray(rows)
 
 
 def own_step(seen: Scattered, near: Around, rows: Int, side: Side, options: RangeViewOptions) -> Single:

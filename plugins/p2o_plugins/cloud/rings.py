@@ -158,7 +158,7 @@ def _sure(sweep: Sweep, neighbours: dict[Side, Neighbours], side: Side, rows: In
     if side in (Side.LEFT, Side.RIGHT):
         # Poles are one or two beams wide: the next return may belong to their other outline.
         ends |= step > least
-    return rows[~into_open | (own.known[rows] & ends & (r[rows] < _OPEN_RANGE_M))]
+    return np.asarray(rows[~into_open | (own.known[rows] & ends & (r[rows] < _OPEN_RANGE_M))])
 
 
 _OPPOSITE = {Side.LEFT: Side.RIGHT, Side.RIGHT: Side.LEFT, Side.UPPER: Side.BOTTOM, Side.BOTTOM: Side.UPPER}

@@ -98,9 +98,10 @@ def _scattered(maps: DirectedCost, start: Float, options: SearchOptions, rng: np
     draws[0] = 0.0
     parts = np.array_split(draws, -(-len(draws) // _DRAWS_AT_ONCE))
     values = np.concatenate([_value(coarse, part, unit, start, options.prior) for part in parts])
-    rest, chosen = np.argsort(values, kind="stable"), []
+    rest = np.argsort(values, kind="stable")
+    chosen: list[int] = []
     while len(rest) and len(chosen) < options.basins:
-        chosen.append(rest[0])
+        chosen.append(int(rest[0]))
         turned_away = np.linalg.norm(draws[rest, :3] - draws[rest[0], :3], axis=1)
         rest = rest[turned_away > _SEPARATE_SIGMA]
     widths = np.geomspace(NARROWEST_PX, _FINEST_PX, _BASIN_GENERATIONS)
@@ -129,7 +130,7 @@ def coarse_maps(
 
 def _scale(width_px: float) -> int:
     """Return the size in pixels of a cell of the maps: a power of two up to a tenth of the truncation."""
-    return 2 ** int(np.log2(max(1.0, width_px / 10)))
+    return 1 << int(np.log2(max(1.0, width_px / 10)))
 
 
 def narrow(
@@ -201,7 +202,7 @@ def _kept(population: int) -> int:
 def _value(cost: DirectedCost, draws: Float, unit: Float, start: Float, prior: float) -> Float:
     """Return the cost (N,) of tangents (N, 6) in units of `unit`, plus the prior on their distance from the start."""
     missed = prior / cost.points * cost.truncate_px
-    return cost(se3.exp(draws * unit) @ start) + missed * np.square(draws).sum(axis=1)
+    return np.asarray(cost(se3.exp(draws * unit) @ start) + missed * np.square(draws).sum(axis=1))
 
 
 METHOD = Method(

@@ -12,6 +12,7 @@ derivatives by differences over the steps of `schedule`, from coarse to fine, pr
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -53,7 +54,7 @@ def build(options: BarzilaiBorweinOptions) -> p2o.Solver:
     def minimise(cost: ScalarCost) -> p2o.Solution:
         x, iterations, converged = np.zeros(6), 0, False
         for step in options.schedule:
-            x, spent, _ = descend(cost, x, lambda x, step=step: cost.differences(x, *step))
+            x, spent, _ = descend(cost, x, partial(cost.differences, step_deg=step[0], step_m=step[1]))
             iterations += spent
         x, spent, converged = descend(cost, x, lambda x: cost.gradient(x, options))
         return cost.solution(x, iterations + spent, converged=converged)

@@ -68,7 +68,8 @@ def build(options: BfgsOptions) -> p2o.Solver:
         def scaled(x: Float) -> float:
             return min((cost.one(x) - lowest) / scale, _HIGHEST)
 
-        fit: Any = minimize(
+        search: Any = minimize  # its types know no method with a gradient of its own
+        fit = search(
             scaled,
             begin,
             jac=lambda x: cost.gradient(x, options) / scale,

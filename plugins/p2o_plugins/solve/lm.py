@@ -48,7 +48,7 @@ def minimise(problem: LeastSquares, start: Float, options: LmOptions) -> tuple[F
     for iteration in range(1, options.max_iterations + 1):
         diagonal = _scale(hessian)
         try:
-            step = -np.linalg.solve(hessian + np.diag(damping * diagonal), gradient)
+            step: Float = np.asarray(-np.linalg.solve(hessian + np.diag(damping * diagonal), gradient))
         except np.linalg.LinAlgError:
             # No residual depends on the pose; `checked_solution` reports the unobservable directions.
             return pose, iteration, p2o.SolverStatus.CONVERGED
