@@ -201,7 +201,7 @@ def matches(frames: Sequence[Frame], pose: Float) -> Cue | None:
         image = flattened(frame.image, options.focal_px)
         if frame.cloud.intensity is None or image is None:
             continue
-        view = reflectances(frame, options).seen(facing(pose[:3, :3], image))
+        view = reflectances(frame).seen(facing(pose[:3, :3], image))
         keypoints, others = _networks().detect(image.grey), _networks().detect(view.grey)
         uv, view_uv = _networks().match(keypoints, others)
         xyz = view.lift(view_uv)

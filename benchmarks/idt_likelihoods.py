@@ -28,7 +28,7 @@ def main() -> None:
         idt.IMAGE.build(idt.IMAGE.options()),
         ring_discontinuity.METHOD.build(ring_discontinuity.METHOD.options()),
     )
-    match, shares = idt.build(idt.IdtOptions()), []
+    match, shares = idt.build(idt.METHOD.options()), []
     for frame in open_dataset(said.data, p2o.Registry.load()):
         view = p2o.View(frame.name, frame.camera, image(frame.image), cloud(frame.cloud))
         truth = frame.camera_from_lidar

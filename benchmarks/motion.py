@@ -86,7 +86,7 @@ def way_of_camera(run: Run, camera_from_lidar: Float, options: HandEyeOptions) -
     pose = p2o.se3.inverse(camera_from_lidar)
     places = [pose[:3, 3]]
     for first in range(len(run.moments) - 1):
-        (_, step), *_ = fused_steps(run, first, [first + 1], camera_from_lidar, options)
+        (_, step), *_ = fused_steps(run, first, [first + 1], camera_from_lidar)
         pose = pose @ p2o.se3.inverse(step.second_from_first)
         places.append(pose[:3, 3])
     return np.array(places)
@@ -106,8 +106,8 @@ def draw_structure(path: Path, frames: Sequence[p2o.Frame]) -> None:
     truth = frames[0].camera_from_lidar
     error = p2o.pose_error(result.camera_from_lidar, truth)
     run = Run(tuple(moments), lidar_poses(moments, options.lidar))
-    seen = visual_map_of(run, options.corners)
-    surfaces = surface_map([moment.xyz for moment in moments], run.world_from_lidar, cube_m=options.cube_m)
+    seen = visual_map_of(run, 1500)
+    surfaces = surface_map([moment.xyz for moment in moments], run.world_from_lidar, cube_m=0.5)
     assert seen is not None
     assert surfaces is not None
     xyz, covariance = seen.in_camera()
@@ -173,7 +173,7 @@ def draw(path: Path, frames: Sequence[p2o.Frame]) -> None:
     error = p2o.pose_error(found, frames[0].camera_from_lidar)
     run = Run(tuple(moments), lidar_poses(moments, options.lidar))
     here, later = moments[_SHOWN], moments[_SHOWN + 1]
-    uv, xyz = trackable(here.grey, here.camera, None, here.xyz, found, most=options.points)
+    uv, xyz = trackable(here.grey, here.camera, None, here.xyz, found, most=600)
     there = follow(here.grey, later.grey, uv)
     kept = np.isfinite(there).all(axis=1)
     figure, (above, below) = plt.subplots(2, 1, figsize=(12.4, 7.4), height_ratios=[3.75, 3.4], layout="constrained")
