@@ -20,7 +20,7 @@ import p2o
 from p2o import Float
 from pydantic import Field
 
-from p2o_plugins.solve.scalar_cost import ScalarCost, StepOptions, scalar_solver
+from p2o_plugins.solve.scalar_cost import ScalarCost, scalar_solver
 
 Positive = Annotated[float, Field(gt=0, le=100)]
 
@@ -31,7 +31,7 @@ _FIRST = 0.25  # length of the first step, in units
 _LONGEST = 1.0  # largest length of a step, in units
 
 
-class BarzilaiBorweinOptions(StepOptions):
+class BarzilaiBorweinOptions(p2o.Options):
     """Options of `barzilai-borwein`."""
 
     schedule: tuple[tuple[Positive, Positive], ...] = p2o.field(
@@ -56,7 +56,7 @@ def build(options: BarzilaiBorweinOptions) -> p2o.Solver:
         for step in options.schedule:
             x, spent, _ = descend(cost, x, partial(cost.differences, step_deg=step[0], step_m=step[1]))
             iterations += spent
-        x, spent, converged = descend(cost, x, lambda x: cost.gradient(x, options))
+        x, spent, converged = descend(cost, x, cost.gradient)
         return cost.solution(x, iterations + spent, converged=converged)
 
     def descend(cost: ScalarCost, x: Float, gradient: Callable[[Float], Float]) -> tuple[Float, int, bool]:

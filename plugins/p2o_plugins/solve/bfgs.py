@@ -12,14 +12,14 @@ import numpy as np
 import p2o
 from p2o import Float
 
-from p2o_plugins.solve.scalar_cost import ScalarCost, StepOptions, scalar_solver
+from p2o_plugins.solve.scalar_cost import ScalarCost, scalar_solver
 
 _HIGHEST = 1e3  # the scaled cost of poses without one, from which the line search can interpolate
 _UNIT_DEG = 0.5  # rotation equivalent to `_UNIT_M` in the first step
 _UNIT_M = 0.02  # translation equivalent to `_UNIT_DEG` in the first step
 
 
-class BfgsOptions(StepOptions):
+class BfgsOptions(p2o.Options):
     """Options of `bfgs`."""
 
     box_deg: float = p2o.field(2.0, ge=0, le=90, help="Bound of each rotation from the initial pose; 0 for no bound.")
@@ -60,7 +60,7 @@ def build(options: BfgsOptions) -> p2o.Solver:
         The first step of L-BFGS-B in a box is the gradient, and its tolerance is absolute for costs below one. Costs
         are scaled so that the gradient is one: the first step is one unit, and the tolerance a share of its gain.
         """
-        lowest, slope = cost.one(begin), cost.gradient(begin, options)
+        lowest, slope = cost.one(begin), cost.gradient(begin)
         scale = float(np.linalg.norm(slope[np.sign(slope) * begin > -reach]))  # without those that lead out of the box
         if not scale:
             return begin, 0, 0.0
@@ -72,7 +72,7 @@ def build(options: BfgsOptions) -> p2o.Solver:
         fit = search(
             scaled,
             begin,
-            jac=lambda x: cost.gradient(x, options) / scale,
+            jac=lambda x: cost.gradient(x) / scale,
             method="L-BFGS-B",
             bounds=[(-r, r) for r in reach],
             options={"maxiter": most, "ftol": options.tolerance, "gtol": 1e-12},

@@ -12,7 +12,7 @@ from p2o import se3
 from p2o.problems.problem import pose_from_chart
 from p2o.solving import Objective
 from p2o_plugins.solve import barzilai_borwein, bfgs, cma_es, particle_swarm
-from p2o_plugins.solve.scalar_cost import ScalarCost, StepOptions
+from p2o_plugins.solve.scalar_cost import ScalarCost
 
 from tests.edge_scene import TRUTH
 
@@ -164,5 +164,5 @@ def test_numeric_gradients_agree_with_given_ones_in_the_chart() -> None:
 
     problems = Bowl(), Objective(Bowl().cost, gradient)
     x = np.array([0.3, -0.2, 0.5, 0.1, -0.4, 0.2])
-    numeric, given = (ScalarCost(p, START, 2.0, 0.3).gradient(x, StepOptions()) for p in problems)
+    numeric, given = (ScalarCost(p, START, 2.0, 0.3).gradient(x) for p in problems)
     assert numeric == pytest.approx(given, rel=1e-4)
