@@ -23,10 +23,10 @@ from p2o.arrays import Float
 from p2o.cache import FeatureCache, content_hash
 from p2o.geometry.perturb import parse_perturbation
 from p2o.run.recipe import Recipe
-from p2o_baselines import acsc, domhof, geiger, koo, mirzaei, velas, velo2cam, zhou
 from p2o_baselines.boards.holes_in_sweep import HoleBoardInSweep
 from p2o_baselines.boards.pairing import paired
 from p2o_baselines.target_method import Sight
+from p2o_baselines.targets import acsc, domhof, geiger, koo, mirzaei, velas, velo2cam, zhou
 
 METHODS = {
     "boards": {"zhou": zhou.METHOD, "koo": koo.METHOD, "geiger": geiger.METHOD, "mirzaei": mirzaei.METHOD},

@@ -20,8 +20,8 @@ from p2o import Calibrator, Frame, Method, Registry, se3
 from p2o.arrays import Float
 from p2o.cache import FeatureCache, content_hash
 from p2o.run.recipe import Recipe
-from p2o_baselines import gong, kuemmerle, pusztai
 from p2o_baselines.bodies.box_pairing import paired_boxes
+from p2o_baselines.targets import gong, kuemmerle, pusztai
 
 METHODS = {"sphere": (kuemmerle.METHOD,), "box": (pusztai.METHOD, gong.METHOD)}
 FREE_POSES = 5

@@ -19,14 +19,14 @@ from p2o.geometry.pose_error import place_by_update
 from p2o.run.pipeline import Pipeline
 from p2o.run.recipe import Recipe
 from p2o.solving import PointsOnRays
-from p2o_baselines.feature_networks import read_networks
-from p2o_baselines.grey import METHOD as GREY
-from p2o_baselines.hand_eye import HandEyeCalibration, HandEyeOptions
-from p2o_baselines.histogram import MI, NID, Linear, Plain, Spline, ranked_levels
-from p2o_baselines.information import SeenPoints, Sighting, SmoothInformation, Span, counts_of
-from p2o_baselines.lsd import segments
-from p2o_baselines.matches import MatchesOptions, reflectances
-from p2o_baselines.reflectance_view import facing, flattened
+from p2o_baselines.edges.lsd import segments
+from p2o_baselines.information.grey import METHOD as GREY
+from p2o_baselines.information.histogram import MI, NID, Linear, Plain, Spline, ranked_levels
+from p2o_baselines.information.information import SeenPoints, Sighting, SmoothInformation, Span, counts_of
+from p2o_baselines.information.reflectance_view import facing, flattened
+from p2o_baselines.learned.feature_networks import read_networks
+from p2o_baselines.learned.matches import MatchesOptions, reflectances
+from p2o_baselines.motion.hand_eye import HandEyeCalibration, HandEyeOptions
 
 UNIT = np.array([np.radians(1.0)] * 3 + [0.1] * 3)
 _MAX_SIGMA = 1.0

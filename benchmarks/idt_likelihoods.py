@@ -14,7 +14,7 @@ import numpy as np
 import p2o
 from p2o.geometry.perturb import parse_perturbation
 from p2o.run.recipe import open_dataset
-from p2o_baselines import idt, ring_discontinuity
+from p2o_baselines.edges import idt, ring_discontinuity
 
 
 def main() -> None:

@@ -34,7 +34,7 @@ from p2o.arrays import Float
 from p2o.files.whole_file import write_whole
 from p2o.geometry.perturb import parse_perturbation
 from p2o.run.recipe import open_dataset
-from p2o_baselines.lccnet import DESIGN
+from p2o_baselines.learned.lccnet import DESIGN
 from p2o_baselines.regressors.method import FOLDER
 from p2o_baselines.regressors.options import TrainingOptions
 from p2o_baselines.regressors.sample import Sample, sample_of, shrunk

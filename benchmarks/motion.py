@@ -20,12 +20,12 @@ import numpy as np
 import p2o
 from p2o.arrays import Float
 from p2o.solving import Accuracy
-from p2o_baselines.csc import CscCalibration, CscOptions, visual_map_of
-from p2o_baselines.hand_eye import HandEyeCalibration, HandEyeOptions, fused_steps
-from p2o_baselines.lidar_tracks import trackable
-from p2o_baselines.moments import Moment, Run, lidar_poses
-from p2o_baselines.structure import surface_map
-from p2o_baselines.visual_odometry import follow
+from p2o_baselines.motion.csc import CscCalibration, CscOptions, visual_map_of
+from p2o_baselines.motion.hand_eye import HandEyeCalibration, HandEyeOptions, fused_steps
+from p2o_baselines.motion.lidar_tracks import trackable
+from p2o_baselines.motion.moments import Moment, Run, lidar_poses
+from p2o_baselines.motion.structure import surface_map
+from p2o_baselines.motion.visual_odometry import follow
 
 DRIVE = (
     "synthetic:?place=street&frames_per_scene=10&period_s=0.2&speed_m_s=4&swing_deg=25&tilt_deg=3&sway=0&right=false"

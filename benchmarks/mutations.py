@@ -332,7 +332,7 @@ MUTATIONS = (
         f"{_B}/boards/closed_form.py",
     ),
     Mutation(
-        "information-slope", "p2o_baselines", "flipped sign", f"{_B}/information.py",
+        "information-slope", "p2o_baselines", "flipped sign", f"{_B}/information/information.py",
         "[-p2o.se3.skew(xyz[seen])", "[p2o.se3.skew(xyz[seen])",
     ),
 )  # fmt: skip

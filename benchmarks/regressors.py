@@ -263,7 +263,7 @@ def draw(path: Path, weights: Path | None) -> None:
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
-    from p2o_baselines.lccnet import DESIGN
+    from p2o_baselines.learned.lccnet import DESIGN
     from p2o_baselines.regressors.method import built
     from p2o_baselines.regressors.options import RegressorOptions
 

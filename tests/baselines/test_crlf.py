@@ -4,10 +4,10 @@ import numpy as np
 import p2o
 import pytest
 from p2o.problems.problem import pose_from_chart
-from p2o_baselines import crlf, lane_pole_cloud, lane_pole_image
-from p2o_baselines.cloud_segments import ground_of
-from p2o_baselines.lane_pole_cloud import LANE, POLE, LanePoleCloudOptions, LanePolePoints
-from p2o_baselines.lane_pole_image import FAR_PX, LanePoleMap
+from p2o_baselines.segments import crlf, lane_pole_cloud, lane_pole_image
+from p2o_baselines.segments.cloud_segments import ground_of
+from p2o_baselines.segments.lane_pole_cloud import LANE, POLE, LanePoleCloudOptions, LanePolePoints
+from p2o_baselines.segments.lane_pole_image import FAR_PX, LanePoleMap
 
 CAMERA = p2o.Camera.pinhole(400.0, 400.0, 300.0, 100.0, 600, 250)
 AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])

@@ -8,13 +8,13 @@ from itertools import pairwise
 import numpy as np
 import p2o
 import pytest
-from p2o_baselines import csc
-from p2o_baselines import moments as drives
-from p2o_baselines.hand_eye_equations import HandEye, Steps, first_guess
-from p2o_baselines.hand_eye_equations import solved as by_motion
-from p2o_baselines.moments import Moment
-from p2o_baselines.structure import Consistency, Stretch, SurfaceMap, searched, solved, surface_map
-from p2o_baselines.visual_map import Tracks, visual_map
+from p2o_baselines.motion import csc
+from p2o_baselines.motion import moments as drives
+from p2o_baselines.motion.hand_eye_equations import HandEye, Steps, first_guess
+from p2o_baselines.motion.hand_eye_equations import solved as by_motion
+from p2o_baselines.motion.moments import Moment
+from p2o_baselines.motion.structure import Consistency, Stretch, SurfaceMap, searched, solved, surface_map
+from p2o_baselines.motion.visual_map import Tracks, visual_map
 from p2o_testing import stage
 from scipy.spatial import cKDTree
 

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from p2o import Camera, Checkerboard, Cloud, HoleBoard, Result, Status, pose_error, se3
 from p2o.arrays import Float
-from p2o_baselines import acsc, domhof, velas, velo2cam
-from p2o_baselines.acsc import fitted_squares, squares_of, two_levels
 from p2o_baselines.boards.board_in_sweep import boards_in_sweep
 from p2o_baselines.boards.holes_in_picture import circle_poses, ellipses_of, hole_boards_in_picture
 from p2o_baselines.boards.holes_in_sweep import fitted_pattern, hole_boards_in_sweep
 from p2o_baselines.boards.pairing import turns_of
 from p2o_baselines.target_method import Sight, TargetOptions
+from p2o_baselines.targets import acsc, domhof, velas, velo2cam
+from p2o_baselines.targets.acsc import fitted_squares, squares_of, two_levels
 
 from tests.baselines import board_scene
 from tests.baselines.board_scene import AWAY, CAMERA, FISHEYE, TRUTH, poses

@@ -12,10 +12,10 @@ import pytest
 from p2o import se3
 from p2o.reading import RingsUnknownError
 from p2o.solving import Objective
-from p2o_baselines import gom, grey, mi, nid, nmi, reflectance
-from p2o_baselines.gom import gradients
-from p2o_baselines.histogram import Linear, presence
-from p2o_baselines.information import SeenPoints, Sighting, Span, sightings
+from p2o_baselines.information import gom, grey, mi, nid, nmi, reflectance
+from p2o_baselines.information.gom import gradients
+from p2o_baselines.information.histogram import Linear, presence
+from p2o_baselines.information.information import SeenPoints, Sighting, Span, sightings
 from p2o_testing import stage
 
 TRUTH = stage.camera_from_lidar()

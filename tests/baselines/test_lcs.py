@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import p2o
 import pytest
-from p2o_baselines import canny, lcs
+from p2o_baselines.edges import canny, lcs
 
 BACKGROUND = 40
 LINE, CIRCLE, SQUARE, CLUTTER = (

@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 import p2o
 import pytest
-from p2o_baselines import line_time, sensor_delay, visual_odometry
-from p2o_baselines.sensor_delay import Drive, delay_of
+from p2o_baselines.motion import line_time, sensor_delay, visual_odometry
+from p2o_baselines.motion.sensor_delay import Drive, delay_of
 from p2o_testing import stage
 
 CAMERA = p2o.Camera.pinhole(400.0, 400.0, 310.0, 95.0, 620, 190)

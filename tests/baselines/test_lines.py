@@ -7,9 +7,9 @@ import numpy as np
 import p2o
 import pytest
 from p2o.solving import LeastSquares
-from p2o_baselines import canny_long, knn_line, lines, lsd, plane_lines, voxel_planes
-from p2o_baselines.lsd import ImageLines
-from p2o_baselines.plane_lines import CloudLines
+from p2o_baselines.edges import canny_long, knn_line, lines, lsd, plane_lines, voxel_planes
+from p2o_baselines.edges.lsd import ImageLines
+from p2o_baselines.edges.plane_lines import CloudLines
 from p2o_testing import stage
 
 

@@ -11,11 +11,20 @@ import p2o
 import pytest
 from p2o import se3
 from p2o.cli import main
-from p2o_baselines import examples, feature_networks, matches
-from p2o_baselines.feature_networks import FEATURES, Keypoints, files_of
-from p2o_baselines.matched_pose import Matches, pose_of
-from p2o_baselines.matches import FrameMatches, MatchesCalibration, MatchesOptions, MatchesStart, pooled
-from p2o_baselines.reflectance_view import FlatImage, VirtualView, facing, flattened, looking, rendered, views_of
+from p2o_baselines import examples
+from p2o_baselines.information.reflectance_view import (
+    FlatImage,
+    VirtualView,
+    facing,
+    flattened,
+    looking,
+    rendered,
+    views_of,
+)
+from p2o_baselines.learned import feature_networks, matches
+from p2o_baselines.learned.feature_networks import FEATURES, Keypoints, files_of
+from p2o_baselines.learned.matched_pose import Matches, pose_of
+from p2o_baselines.learned.matches import FrameMatches, MatchesCalibration, MatchesOptions, MatchesStart, pooled
 from p2o_testing import stage
 
 AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])

@@ -367,7 +367,7 @@ def test_a_changed_constant_of_one_method_makes_exactly_its_rows_stale(
     board: Board, edit: Edit, capsys: pytest.CaptureFixture[str]
 ) -> None:
     board.measured()
-    edit("p2o_baselines/nearest.py", "-weight, *place.T", "-2 * weight, *place.T")
+    edit("p2o_baselines/edges/nearest.py", "-weight, *place.T", "-2 * weight, *place.T")
     assert board.outdated(capsys) == [("nearest", "method changed")] * 15
     assert {known.row for known in board.measured()} == {"nearest"}
     assert len(board.results.rows("tiny")) == 45

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import p2o
-import p2o_baselines.nearest
+import p2o_baselines.edges.nearest
 import pytest
 from p2o_study.benchmark.confirm import by_version, difference_of, drawn
 from p2o_study.benchmark.equivalences import EQUIVALENCES_FILE, Equivalence, Equivalences
@@ -22,7 +22,7 @@ from tests.p2o_study.source_edits import Edit
 from tests.p2o_study.test_benchmark import row
 from tests.p2o_study.test_benchmark_bundle import edited
 
-NEAREST = ("p2o_baselines/nearest.py", "place[order]", "place[order, :]")
+NEAREST = ("p2o_baselines/edges/nearest.py", "place[order]", "place[order, :]")
 """An edit of one method, as hashes see it; what is computed stays the same."""
 ALL = ("p2o/geometry/se3.py", "_FARTHEST_M = ", "_FARTHEST_M = 0.0 + ")
 """The same of every method."""
@@ -47,13 +47,13 @@ def equivalence(old: str, new: str, confirmed: int = 30, **values: Any) -> Equiv
 
 def altered(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have the method `nearest` shift the edges of images by a pixel from here on."""
-    assemble = p2o_baselines.nearest.assemble
+    assemble = p2o_baselines.edges.nearest.assemble
 
     def shifted(*values: Any, **words: Any) -> Any:
         problem = assemble(*values, **words)
         return replace(problem, centre=problem.centre + 1.0)
 
-    monkeypatch.setattr(p2o_baselines.nearest, "assemble", shifted)
+    monkeypatch.setattr(p2o_baselines.edges.nearest, "assemble", shifted)
 
 
 def confirm(board: Board, *words: str) -> int:
@@ -120,7 +120,7 @@ def test_an_interrupted_command_keeps_the_methods_that_are_confirmed(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(p2o_baselines.nearest, "pair", interrupted)
+        patch.setattr(p2o_baselines.edges.nearest, "pair", interrupted)
         assert confirm(board) == 130
     assert board.outdated(capsys) == [("nearest", "method changed")] * 15
 

@@ -11,7 +11,7 @@ from p2o_study.benchmark.row import Row
 from tests.p2o_study.benchmark_board import STUDY, Board
 from tests.p2o_study.source_edits import Edit
 
-NEAREST = ("p2o_baselines/nearest.py", "-weight, *place.T", "-2 * weight, *place.T")
+NEAREST = ("p2o_baselines/edges/nearest.py", "-weight, *place.T", "-2 * weight, *place.T")
 FEWER = STUDY.replace("frames = 3 }", "frames = 2 }")
 RENAMED = ('"quick"\ncalibrator', '"renamed"\ncalibrator')
 _MEASURED: dict[str, bytes] = {}

@@ -90,7 +90,7 @@ def test_what_cannot_alter_a_result_changes_no_key(
 @pytest.mark.parametrize(
     ("file", "old", "new", "labels"),
     [
-        ("p2o_baselines/nearest.py", "-weight, *place.T", "-2 * weight, *place.T", {"nearest"}),
+        ("p2o_baselines/edges/nearest.py", "-weight, *place.T", "-2 * weight, *place.T", {"nearest"}),
         ("p2o_plugins/match/ogm.py", '"LRUB", pattern', '"LRU", pattern', {"nearest", "kitti", "synthetic"}),
         ("p2o_plugins/cloud/scattered.py", "_NEAREST = ", "_NEAREST = 1 + ", ALL - {"koo"}),
         ("p2o/geometry/se3.py", "_FARTHEST_M = ", "_FARTHEST_M = 1 + ", ALL),

@@ -116,6 +116,6 @@ def test_what_a_build_function_holds_counts() -> None:
 def test_code_of_a_matcher_does_not_count_for_an_extractor() -> None:
     [extractor] = p2o.Registry.load(environ={}).named("canny")
     names = set(code_of(extractor.method.build).definitions)
-    assert "p2o_baselines.canny:build" in names
+    assert "p2o_baselines.edges.canny:build" in names
     assert "p2o.features.edges:ImageEdges" in names
     assert not any(name.startswith(("p2o_plugins.match", "p2o_plugins.solve", "p2o.cli")) for name in names)
