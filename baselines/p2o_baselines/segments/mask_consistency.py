@@ -175,9 +175,9 @@ def build(options: MaskOptions) -> p2o.Matcher:
 
     def masks(view: p2o.View) -> ImageMasks | None:
         if not options.masks:
-            found = view.get(ImageMasks.word)
-            assert found is None or isinstance(found, ImageMasks)
-            return found
+            shapes = view.get(ImageMasks.word)
+            assert shapes is None or isinstance(shapes, ImageMasks)
+            return shapes
         shape = (view.camera.height, view.camera.width)
         if (view.name, shape) not in read:
             least_px = min(shape[0] * shape[1] / 1200, 2000)

@@ -152,8 +152,8 @@ _SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
 
 def _bounds_text(rules: Iterable[Any]) -> str:
     """Return the bounds of a number as text, such as `>= 0, < 90`."""
-    found = ((sign, getattr(rule, word, None)) for rule in rules for word, sign in _SIGNS.items())
-    return ", ".join(f"{sign} {value:g}" for sign, value in found if value is not None)
+    limits = ((sign, getattr(rule, word, None)) for rule in rules for word, sign in _SIGNS.items())
+    return ", ".join(f"{sign} {value:g}" for sign, value in limits if value is not None)
 
 
 def fit_matrix(registry: Registry) -> str:
