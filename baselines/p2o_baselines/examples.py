@@ -31,11 +31,11 @@ def hole_boards(within: str) -> p2o.Example:
 def information(scenes: int, solver: str, *settings: str, perturb: str, within: str) -> p2o.Example:
     """Return an example for mutual information: checkerboards whose black squares are dark for both sensors."""
     yard = "place=yard&targets=checkerboard&boards=2&lidar=os1-64&width_px=621&height_px=188&right=false"
-    about = {"joint": True, "extractor": "grey/reflectance", "solver": solver, "init": "given", "settings": settings}
-    return p2o.Example(f"synthetic:?{yard}&exposure_ev=0&scenes={scenes}", perturb, within, **about)
+    data = f"synthetic:?{yard}&exposure_ev=0&scenes={scenes}"
+    return p2o.Example(data, perturb, within, True, "grey/reflectance", solver, "given", settings=settings)
 
 
 def streets(scenes: int, extractor: str, solver: str, *, perturb: str, within: str) -> p2o.Example:
     """Return an example of streets, calibrated jointly from the given initial extrinsic."""
-    about = {"joint": True, "extractor": extractor, "solver": solver, "init": "given"}
-    return p2o.Example(f"synthetic:?scenes={scenes}&place=street", perturb, within, **about)
+    data = f"synthetic:?scenes={scenes}&place=street"
+    return p2o.Example(data, perturb, within, True, extractor, solver, "given")

@@ -17,33 +17,42 @@ def _offered(names: str) -> Iterator[Method]:
 @hookimpl
 def p2o_image_extractors() -> Iterator[Method]:
     """Offer the image sides."""
-    return _offered("canny canny_long grey hed idt:IMAGE lane_pole_image lcs line_idt:IMAGE lsd masks smoothness")
+    return _offered(
+        "edges.canny edges.canny_long information.grey edges.hed edges.idt:IMAGE segments.lane_pole_image edges.lcs "
+        "edges.line_idt:IMAGE edges.lsd segments.masks edges.smoothness"
+    )
 
 
 @hookimpl
 def p2o_cloud_extractors() -> Iterator[Method]:
     """Offer the LiDAR sides."""
     return _offered(
-        "attributes lane_pole_cloud line_points plane_lines reflectance returns ring_discontinuity voxel_planes"
+        "segments.attributes segments.lane_pole_cloud edges.line_points edges.plane_lines information.reflectance "
+        "information.returns edges.ring_discontinuity edges.voxel_planes"
     )
 
 
 @hookimpl
 def p2o_matchers() -> Iterator[Method]:
     """Offer the matchers."""
-    return _offered("crlf gmm gom idt knn_line line_idt lines mask_consistency mi nearest nid nmi tv_fusion")
+    return _offered(
+        "segments.crlf edges.gmm information.gom edges.idt edges.knn_line edges.line_idt edges.lines "
+        "segments.mask_consistency information.mi edges.nearest information.nid information.nmi edges.tv_fusion"
+    )
 
 
 @hookimpl
 def p2o_calibrators() -> Iterator[Method]:
     """Offer the calibrators."""
     return _offered(
-        "atop csc cues geiger hand_eye koo line_time matches mirzaei picked zhou calibnet calibrcnn lccnet regnet "
-        "rggnet gong kuemmerle pusztai acsc domhof velas velo2cam"
+        "segments.atop motion.csc information.cues targets.geiger motion.hand_eye targets.koo motion.line_time "
+        "learned.matches targets.mirzaei picked targets.zhou learned.calibnet learned.calibrcnn learned.lccnet "
+        "learned.regnet learned.rggnet targets.gong targets.kuemmerle targets.pusztai targets.acsc targets.domhof "
+        "targets.velas targets.velo2cam"
     )
 
 
 @hookimpl
 def p2o_initializers() -> Iterator[Method]:
     """Offer the initializers."""
-    return _offered("hand_eye:START matches:START")
+    return _offered("motion.hand_eye:START learned.matches:START")

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import p2o
@@ -26,6 +27,7 @@ EXAMPLE = Path(__file__).with_name("picked-example.yaml")
 """Pairs of the first frame of `synthetic:` with noise of 1.5 px and 1 cm; two of twelve are wrong."""
 
 _MOST_OFF, _MOST_OFF_PX = 4.0, 4.0  # a pick is reported whose error predicted by the others exceeds both
+_TRIALS = 500  # triples of picks that are tried, at most
 
 
 class PickedOptions(p2o.Options):
@@ -33,7 +35,6 @@ class PickedOptions(p2o.Options):
 
     pairs: str = field("example", help="File of picked pairs, YAML or JSON, of `p2o pick`; example: of `synthetic:`.")
     reach_px: float = field(10.0, gt=0, le=1000, help="Largest residual of an inlier, in pixels.")
-    trials: int = field(500, ge=1, le=100_000, help="Triples of picks that are tried, at most.")
     seed: int = field(0, ge=0, help="Seed of the sampled triples.")
 
 
@@ -51,7 +52,7 @@ class Picked:
     def solve(self, prepared: Sequence[PickedFrame], camera_from_lidar: Float) -> p2o.Result:
         """Return the pose that all pairs give together."""
         options = self.options
-        solved = solve_picks(prepared, reach_px=options.reach_px, trials=options.trials, seed=options.seed)
+        solved = solve_picks(prepared, reach_px=options.reach_px, trials=_TRIALS, seed=options.seed)
         reason, names = solved.reason, tuple(frame.name for frame in prepared)
         if not any(len(frame.pairs) for frame in prepared):
             known = ", ".join(list(self.frames)[:3]) or "none"
@@ -101,7 +102,7 @@ def _remarks(solved: PickedPose, prepared: Sequence[PickedFrame]) -> list[str]:
     return lines
 
 
-def _rivalry(solved: PickedPose) -> dict[str, object]:
+def _rivalry(solved: PickedPose) -> dict[str, Any]:
     """Return the fields of a result that describe a second pose which fits the picks."""
     if solved.rival is None or solved.camera_from_lidar is None:
         return {}

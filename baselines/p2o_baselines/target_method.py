@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -12,18 +12,20 @@ import p2o
 from p2o import Float, Result, Status, field, se3
 from p2o.solving import Accuracy, Judged
 
+from p2o_baselines.outcome import decided, refused
+
 _Z_95 = 1.9  # ratio of the 95 % bound to the standard deviation: 1.96 for one direction, 1.61 for three equal ones
+_SCATTER_M = 0.04  # largest scatter of ranges on the surface of a target
+_WORST_DEG = 5.0  # refuse results less certain than this about any axis
+_WORST_M = 0.5  # refuse results less certain than this along any axis
 
 
 class TargetOptions(p2o.Options):
-    """Options of all methods with targets: search range, sensor noise, and the uncertainty that is accepted."""
+    """Options of all methods with targets: search range and sensor errors."""
 
     farthest_m: float = field(12.0, gt=0, le=200, help="Search targets up to this distance from the LiDAR.")
-    scatter_m: float = field(0.04, gt=0, le=1, help="Largest scatter of ranges on the surface of a target.")
     range_bias_m: float = field(0.01, ge=0, le=1, help="Deviation of an error of all ranges, for the predicted error.")
     camera_px: float = field(0.5, ge=0, le=100, help="Deviation of the intrinsics in px, for the predicted error.")
-    worst_deg: float = field(5.0, gt=0, le=180, help="Refuse results less certain than this about any axis.")
-    worst_m: float = field(0.5, gt=0, le=100, help="Refuse results less certain than this along any axis.")
 
 
 @dataclass(frozen=True)
@@ -46,9 +48,9 @@ def once_per_sweep(
     """Return the targets of a sweep, one of those `wanted` each, by a detector that runs once per sweep."""
     if not wanted:
         return ()
-    known, key = _detected.setdefault(cloud, {}), (detect, wanted, options.farthest_m, options.scatter_m)
+    known, key = _detected.setdefault(cloud, {}), (detect, wanted, options.farthest_m, _SCATTER_M)
     if key not in known:
-        known[key] = detect(cloud, wanted, farthest_m=options.farthest_m, sigma_m=options.scatter_m)
+        known[key] = detect(cloud, wanted, farthest_m=options.farthest_m, sigma_m=_SCATTER_M)
     return known[key]
 
 
@@ -85,13 +87,13 @@ def accuracy_of(covariance: Float, camera_from_lidar: Float) -> Accuracy:
     )
 
 
-def uncertainty(covariance: Float | None, pose: Float, remedy: str, options: TargetOptions) -> str:
+def uncertainty(covariance: Float | None, pose: Float, remedy: str) -> str:
     """Return why a pose (4, 4) is too uncertain, with the advice `remedy`; "" if it is certain enough."""
     if covariance is None or not np.isfinite(covariance).all():
         return f"a direction of the pose is not observable: {remedy}"
     axes = standard_deviations(covariance, pose)
     deg, metres = float(np.degrees(axes[:3].max())), float(axes[3:].max())
-    if deg > options.worst_deg or metres > options.worst_m:
+    if deg > _WORST_DEG or metres > _WORST_M:
         return f"the standard deviation of the pose is {deg:.1f} deg and {metres:.2f} m for its worst axes: {remedy}"
     return ""
 
@@ -101,30 +103,23 @@ def unsolved(sights: Sequence[Sight], start: Float) -> Result:
     return Result(tuple(sight.name for sight in sights), start, start, Status.NO_FEATURES, "")
 
 
-def refused(result: Result, reason: str, status: Status = Status.NO_FEATURES) -> Result:
-    """Return an unsolved result with the status and the reason of its refusal."""
-    return replace(result, verdict=None, status=status, reason=reason)
-
-
 def solved(
     result: Result,
     pose: Float,
     covariance: Float | None,
-    options: TargetOptions,
     *,
     reason: str,
     judged: Judged,
     remedy: str,
 ) -> Result:
     """Return an unsolved result with its pose (4, 4), or refused if the pose is too uncertain."""
-    doubt = uncertainty(covariance, pose, remedy, options)
+    doubt = uncertainty(covariance, pose, remedy)
     if covariance is None or doubt:
         return refused(result, doubt, Status.NOT_OBSERVABLE)
-    return replace(
+    return decided(
         result,
         camera_from_lidar=pose,
         status=Status.CONVERGED,
-        verdict=None,  # follows from the status
         reason=reason,
         covariance=covariance,
         accuracy=accuracy_of(covariance, pose),

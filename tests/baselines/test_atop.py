@@ -7,7 +7,7 @@ import p2o
 import pytest
 from p2o.errors import InputError
 from p2o.problems.problem import pose_from_chart
-from p2o_baselines.atop import Atop, AtopOptions, BoxFile, Cuboid, Objects, Road, Sight, grounded, read_objects
+from p2o_baselines.segments.atop import Atop, AtopOptions, BoxFile, Cuboid, Objects, Road, Sight, grounded, read_objects
 
 CAMERA = p2o.Camera.pinhole(500.0, 500.0, 400.0, 150.0, 800, 300)
 TRUTH = p2o.se3.make([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]], (0.1, -0.1, -0.3))

@@ -11,11 +11,11 @@ import pytest
 from p2o import Camera, Checkerboard, Registry, Result, Status, pose_error, se3
 from p2o.arrays import Float
 from p2o.run.recipe import Recipe
-from p2o_baselines import geiger, koo, mirzaei, zhou
 from p2o_baselines.boards.board_in_picture import boards_in_picture
 from p2o_baselines.boards.board_in_sweep import boards_in_sweep
 from p2o_baselines.boards.pairing import Pair, from_planes, paired, turned, turns
 from p2o_baselines.target_method import Sight
+from p2o_baselines.targets import geiger, koo, mirzaei, zhou
 from scipy.spatial.transform import Rotation
 
 from tests.baselines.board_scene import (

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from p2o import Camera, Image, ImageEdges, InputError, Side
-from p2o_baselines.canny import METHOD, CannyOptions
+from p2o_baselines.edges.canny import METHOD, CannyOptions
 
 
 def image(grey: np.ndarray, masked: np.ndarray | None = None) -> Image:

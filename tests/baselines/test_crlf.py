@@ -4,10 +4,10 @@ import numpy as np
 import p2o
 import pytest
 from p2o.problems.problem import pose_from_chart
-from p2o_baselines import crlf, lane_pole_cloud, lane_pole_image
-from p2o_baselines.cloud_segments import ground_of
-from p2o_baselines.lane_pole_cloud import LANE, POLE, LanePoleCloudOptions, LanePolePoints
-from p2o_baselines.lane_pole_image import FAR_PX, LanePoleImageOptions, LanePoleMap
+from p2o_baselines.segments import crlf, lane_pole_cloud, lane_pole_image
+from p2o_baselines.segments.cloud_segments import ground_of
+from p2o_baselines.segments.lane_pole_cloud import LANE, POLE, LanePoleCloudOptions, LanePolePoints
+from p2o_baselines.segments.lane_pole_image import FAR_PX, LanePoleMap
 
 CAMERA = p2o.Camera.pinhole(400.0, 400.0, 300.0, 100.0, 600, 250)
 AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
@@ -79,7 +79,7 @@ def test_poles_stand_alone_and_walls_are_none():
 
 
 def test_lanes_and_poles_of_a_picture_are_told_apart():
-    away = lane_pole_image.build(LanePoleImageOptions())(picture((2.0,), [(12.0, -3.0)])).get("image-lane-pole")
+    away = lane_pole_image.build(p2o.Options())(picture((2.0,), [(12.0, -3.0)])).get("image-lane-pole")
     lane, pole = CAMERA.project(p2o.se3.apply(TRUTH, np.array([[8.0, 2.0, -1.7], [12.0, -3.0, 0.0]])))
     at = [away.values[tuple(np.rint(uv[::-1]).astype(int))] for uv in (lane, pole)]
     assert at[0][LANE] <= 1
@@ -89,7 +89,7 @@ def test_lanes_and_poles_of_a_picture_are_told_apart():
 
 
 def test_an_even_picture_has_neither():
-    away = lane_pole_image.build(LanePoleImageOptions())(picture()).get("image-lane-pole")
+    away = lane_pole_image.build(p2o.Options())(picture()).get("image-lane-pole")
     assert (away.values == FAR_PX).all()
 
 
@@ -107,7 +107,7 @@ def test_a_point_counts_by_its_distance_from_the_mask(away_px, share):
 
 def test_it_solves_a_road_with_lanes_and_poles():
     lanes, poles = (-3.5, 0.5, 3.5), [(9.0, 4.5), (12.0, -5.0), (16.0, 6.0), (20.0, -7.0)]
-    image = lane_pole_image.build(LanePoleImageOptions())(picture(lanes, poles))
+    image = lane_pole_image.build(p2o.Options())(picture(lanes, poles))
     cloud = lane_pole_cloud.METHOD.build(LanePoleCloudOptions())(road(lanes, poles))
     problem = crlf.build(crlf.CrlfOptions())([p2o.View("road", CAMERA, image, cloud)], TRUTH, 10.0)
     from p2o_plugins.solve import random_shrink

@@ -8,13 +8,13 @@ from itertools import pairwise
 import numpy as np
 import p2o
 import pytest
-from p2o_baselines import csc
-from p2o_baselines import moments as drives
-from p2o_baselines.hand_eye_equations import HandEye, Steps, first_guess
-from p2o_baselines.hand_eye_equations import solved as by_motion
-from p2o_baselines.moments import Moment
-from p2o_baselines.structure import Consistency, Stretch, SurfaceMap, searched, solved, surface_map
-from p2o_baselines.visual_map import Tracks, visual_map
+from p2o_baselines.motion import csc
+from p2o_baselines.motion import moments as drives
+from p2o_baselines.motion.hand_eye_equations import HandEye, Steps, first_guess
+from p2o_baselines.motion.hand_eye_equations import solved as by_motion
+from p2o_baselines.motion.moments import Moment
+from p2o_baselines.motion.structure import Consistency, Stretch, SurfaceMap, searched, solved, surface_map
+from p2o_baselines.motion.visual_map import Tracks, visual_map
 from p2o_testing import stage
 from scipy.spatial import cKDTree
 
@@ -277,7 +277,9 @@ def test_pictures_in_another_order_are_refused(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(csc, "visual_map_of", lambda *_: known)
     monkeypatch.setattr(csc, "surface_map", lambda *_, **__: surfaces)
     shuffled = poses[[3, 0, 5, 1, 4, 2]]
-    result = method(least_landmarks=10, search=0).solve(moments(shuffled), TRUTH)
+    monkeypatch.setattr(csc, "_LEAST_LANDMARKS", 10)
+    monkeypatch.setattr(csc, "_SEARCH", 1)
+    result = method().solve(moments(shuffled), TRUTH)
     assert not result.status.solved
     assert "move differently" in result.reason or "lie next to a plane" in result.reason
 

@@ -9,7 +9,7 @@ import numpy as np
 import p2o
 import pytest
 from p2o.solving import Objective
-from p2o_baselines import cues
+from p2o_baselines.information import cues
 from scipy.optimize import approx_fprime
 
 DATA = "synthetic:?width_px=621&height_px=188&place=street&right=false"

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import p2o
 import pytest
-from p2o_baselines.gmm import METHOD, Gmm, GmmOptions, Mixture, mixtures, scattered
+from p2o_baselines.edges.gmm import METHOD, Gmm, GmmOptions, Mixture, mixtures, scattered
 from p2o_testing import stage
 
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from p2o import Status, pose_error, se3
 from p2o.arrays import Float
-from p2o_baselines import gong
 from p2o_baselines.bodies.box_in_picture import Line, flat_at, intersection
 from p2o_baselines.bodies.box_in_sweep import Face
 from p2o_baselines.bodies.bundle import adjusted
 from p2o_baselines.bodies.trihedron import TrihedronInPicture, edges_of, of_faces
-from p2o_baselines.gong import Corner, edge_offsets, matched, rotation_of, translation_of
+from p2o_baselines.targets import gong
+from p2o_baselines.targets.gong import Corner, edge_offsets, matched, rotation_of, translation_of
 
 from tests.baselines.body_scene import AWAY, CAMERA, CUBOID, TRUTH, corner_on, frame
 

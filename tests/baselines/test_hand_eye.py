@@ -9,10 +9,10 @@ import p2o
 import pytest
 from p2o.cli import main
 from p2o.solving import Doubt
-from p2o_baselines import corner_depths, hand_eye
-from p2o_baselines import moments as drives
-from p2o_baselines.corner_depths import Followed
-from p2o_baselines.moments import Moment, consecutive
+from p2o_baselines.motion import corner_depths, hand_eye
+from p2o_baselines.motion import moments as drives
+from p2o_baselines.motion.corner_depths import Followed
+from p2o_baselines.motion.moments import Moment, consecutive
 from p2o_testing import stage
 
 CAMERA = p2o.Camera.pinhole(700.0, 700.0, 620.0, 180.0, 1242, 375)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import p2o
 import pytest
-from p2o_baselines.hand_eye_equations import Steps, first_guess, lengths, rotation_from, solved, translation_from
+from p2o_baselines.motion.hand_eye_equations import Steps, first_guess, lengths, rotation_from, solved, translation_from
 
 TRUTH = p2o.se3.exp(np.array([0.1, -0.05, 0.08, 0.0, 0.0, 0.0])) @ p2o.se3.make(
     [[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]], [0.06, -0.35, -0.27]

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 from p2o import Camera, Image, InputError, MethodUnavailable, Side
-from p2o_baselines import hed
-from p2o_baselines.hed import METHOD, PACKAGE, HedOptions, edge_probability, read_weights, thinned
+from p2o_baselines.edges import hed
+from p2o_baselines.edges.hed import METHOD, PACKAGE, HedOptions, edge_probability, read_weights, thinned
 
 h5py = pytest.importorskip("h5py", reason="the extra `hed` is not installed")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from p2o_baselines.histogram import (
+from p2o_baselines.information.histogram import (
     MI,
     NID,
     NMI,

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from p2o import Camera, Checkerboard, Cloud, HoleBoard, Result, Status, pose_error, se3
 from p2o.arrays import Float
-from p2o_baselines import acsc, domhof, velas, velo2cam
-from p2o_baselines.acsc import fitted_squares, squares_of, two_levels
 from p2o_baselines.boards.board_in_sweep import boards_in_sweep
 from p2o_baselines.boards.holes_in_picture import circle_poses, ellipses_of, hole_boards_in_picture
 from p2o_baselines.boards.holes_in_sweep import fitted_pattern, hole_boards_in_sweep
 from p2o_baselines.boards.pairing import turns_of
 from p2o_baselines.target_method import Sight, TargetOptions
+from p2o_baselines.targets import acsc, domhof, velas, velo2cam
+from p2o_baselines.targets.acsc import fitted_squares, squares_of, two_levels
 
 from tests.baselines import board_scene
 from tests.baselines.board_scene import AWAY, CAMERA, FISHEYE, TRUTH, poses
@@ -200,7 +200,7 @@ def test_frames_that_contradict_are_refused() -> None:
 def test_drawn_frames_are_calibrated_from_picture_and_sweep() -> None:
     # Head on, and turned three ways.
     boards = [poses(6, seed=1)[k] for k in (0, 3)]
-    stage = velas.METHOD.build(velas.METHOD.options(min_jump_m=0.2))
+    stage = velas.METHOD.build(velas.METHOD.options())
     scenes = [stage.prepare(frame(number, pose)) for number, pose in enumerate(boards)]
     for name in METHODS:
         result = solved(name, [scene.sight for scene in scenes])

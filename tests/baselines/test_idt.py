@@ -6,10 +6,10 @@ import numpy as np
 import p2o
 import pytest
 from p2o.solving import Objective
-from p2o_baselines.idt import RIGHT, WRONG, IdtOptions, build, probability_right, share_of_worse
-from p2o_baselines.inverse_distance import edge_strength, inverse_distance, sampled, spread
-from p2o_baselines.line_points import along_lines, range_image_jumps
-from p2o_baselines.ring_discontinuity import ring_jumps
+from p2o_baselines.edges.idt import RIGHT, WRONG, build, probability_right, share_of_worse
+from p2o_baselines.edges.inverse_distance import edge_strength, inverse_distance, sampled, spread
+from p2o_baselines.edges.line_points import along_lines, range_image_jumps
+from p2o_baselines.edges.ring_discontinuity import ring_jumps
 from p2o_testing import stage
 
 
@@ -90,11 +90,11 @@ def test_a_joined_cloud_shows_its_jumps_in_a_picture() -> None:
 
 def test_a_point_that_leaves_the_image_is_neither_won_nor_lost() -> None:
     """With a map of one value everywhere no pose is better than another, whatever it shows."""
-    from p2o_baselines.inverse_distance import InverseDistanceMap
+    from p2o_baselines.edges.inverse_distance import InverseDistanceMap
 
     view = stage.view()
     flat = view.image.having(InverseDistanceMap(np.full((240, 480), 3.0)))
-    problem = build(IdtOptions())([p2o.View("flat", view.camera, flat, view.cloud)], stage.camera_from_lidar(), 5.0)
+    problem = build(p2o.Options())([p2o.View("flat", view.camera, flat, view.cloud)], stage.camera_from_lidar(), 5.0)
     turned = p2o.se3.exp(np.array([[0, a, 0, 0, 0, 0] for a in (0.0, 0.1, 0.4)])) @ stage.camera_from_lidar()
     np.testing.assert_allclose(problem.cost(turned), -3.0)
 

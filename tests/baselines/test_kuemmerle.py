@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from p2o import Camera, Result, Sphere, Status, pose_error, se3
 from p2o.arrays import Float
-from p2o_baselines import kuemmerle
 from p2o_baselines.bodies.sphere_in_picture import SphereInPicture, cone_of, spheres_in_picture
 from p2o_baselines.bodies.sphere_in_sweep import SphereInSweep, fitted_sphere, spheres_in_sweep
-from p2o_baselines.kuemmerle import paired_spheres
 from p2o_baselines.target_method import Sight
+from p2o_baselines.targets import kuemmerle
+from p2o_baselines.targets.kuemmerle import paired_spheres
 
 from tests.baselines.body_scene import AWAY, BALL, CAMERA, FISHEYE, TRUTH, frame, picture, sweep
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import p2o
 import pytest
-from p2o_baselines import canny, lcs
+from p2o_baselines.edges import canny, lcs
 
 BACKGROUND = 40
 LINE, CIRCLE, SQUARE, CLUTTER = (
@@ -42,9 +42,9 @@ def shown(*, clutter: bool = True) -> np.ndarray:
     return grey
 
 
-def kept(grey: np.ndarray, **options: object) -> np.ndarray:
+def kept(grey: np.ndarray) -> np.ndarray:
     """Which pixels are kept."""
-    edges = lcs.METHOD.build(lcs.LcsOptions(**options))(image(grey)).edges
+    edges = lcs.METHOD.build(canny.CannyOptions())(image(grey)).edges
     assert edges is not None
     out = np.zeros(grey.shape, bool)
     u, v = edges.uv.astype(int).T
@@ -54,7 +54,7 @@ def kept(grey: np.ndarray, **options: object) -> np.ndarray:
 
 def share(found: np.ndarray, where: tuple[slice, slice], grey: np.ndarray) -> float:
     """The share of Canny's edges of a part of the picture that is kept."""
-    before = canny.edge_pixels(image(grey), lcs.LcsOptions())
+    before = canny.edge_pixels(image(grey), canny.CannyOptions())
     assert not (found & ~before).any()
     assert before[where].sum() > 50
     return float(found[where].sum() / before[where].sum())
@@ -70,12 +70,15 @@ def test_line_circle_and_square_stay_and_clutter_goes() -> None:
 
 
 @pytest.mark.parametrize(
-    ("option", "gone"),
-    [({"min_line_px": 200.0}, LINE), ({"max_radius_px": 20.0}, CIRCLE), ({"min_side_px": 25.0}, SQUARE)],
+    ("limit", "value", "gone"),
+    [("_MIN_LINE_PX", 200.0, LINE), ("_MAX_RADIUS_PX", 20.0, CIRCLE), ("_MIN_SIDE_PX", 25.0, SQUARE)],
 )
-def test_each_layer_keeps_its_own_shape(option: dict[str, float], gone: tuple[slice, slice]) -> None:
+def test_each_layer_keeps_its_own_shape(
+    limit: str, value: float, gone: tuple[slice, slice], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(lcs, limit, value)
     grey = shown(clutter=False)
-    found = kept(grey, **option)
+    found = kept(grey)
     for where in (LINE, CIRCLE, SQUARE):
         assert share(found, where, grey) < 0.1 if where is gone else share(found, where, grey) > 0.85
 
@@ -85,7 +88,7 @@ def test_a_line_that_clutter_crosses_stays_whole() -> None:
     pixels[30, 10:110] = True
     for column in (30, 52, 71):
         pixels[25:36, column] = True
-    found = lcs.shapes(pixels, lcs.LcsOptions())
+    found = lcs.shapes(pixels)
     assert found[30, 10:110].sum() >= 97  # but where the others cross
     assert found.sum() < 110
 
@@ -94,9 +97,9 @@ def test_three_sides_are_no_square() -> None:
     pixels = np.zeros((60, 60), bool)
     pixels[20, 20:36] = pixels[35, 20:36] = True
     pixels[20:36, 20] = True
-    assert not lcs.shapes(pixels, lcs.LcsOptions()).any()
+    assert not lcs.shapes(pixels).any()
     pixels[20:36, 35] = True
-    assert lcs.shapes(pixels, lcs.LcsOptions()).sum() == 60
+    assert lcs.shapes(pixels).sum() == 60
 
 
 def test_a_picture_without_edges_gives_none() -> None:
@@ -107,7 +110,7 @@ def test_masked_pixels_have_no_edges() -> None:
     grey = shown(clutter=False)
     masked = np.zeros(grey.shape, bool)
     masked[LINE] = True
-    edges = lcs.METHOD.build(lcs.LcsOptions())(image(grey, masked)).edges
+    edges = lcs.METHOD.build(canny.CannyOptions())(image(grey, masked)).edges
     assert len(edges) > 0
     u, v = edges.uv.astype(int).T
     assert not masked[v, u].any()
@@ -116,11 +119,11 @@ def test_masked_pixels_have_no_edges() -> None:
 
 def test_thresholds_in_the_wrong_order_are_refused() -> None:
     with pytest.raises(p2o.InputError, match="low <= high = 50"):
-        lcs.METHOD.build(lcs.LcsOptions(low=100, high=50))
+        lcs.METHOD.build(canny.CannyOptions(low=100, high=50))
 
 
 def test_every_pixel_is_in_one_chain_and_neighbours_touch() -> None:
-    pixels = canny.edge_pixels(image(shown()), lcs.LcsOptions())
+    pixels = canny.edge_pixels(image(shown()), canny.CannyOptions())
     found = lcs.chains(pixels)
     every = np.concatenate(found)
     assert len(np.unique(every, axis=0)) == len(every) == pixels.sum()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import p2o
 import pytest
-from p2o_baselines import lidar_tracks, visual_odometry
+from p2o_baselines.motion import lidar_tracks, visual_odometry
 from p2o_testing import stage
 
 CAMERA = p2o.Camera.pinhole(400.0, 400.0, 310.0, 95.0, 620, 190)

@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 import p2o
 import pytest
-from p2o_baselines import line_time, sensor_delay, visual_odometry
-from p2o_baselines.sensor_delay import Drive, delay_of
+from p2o_baselines.motion import line_time, sensor_delay, visual_odometry
+from p2o_baselines.motion.sensor_delay import Drive, delay_of
 from p2o_testing import stage
 
 CAMERA = p2o.Camera.pinhole(400.0, 400.0, 310.0, 95.0, 620, 190)
@@ -223,7 +223,7 @@ def test_pictures_and_sweeps_of_different_moments_are_told_apart(simulated: list
             replace(picture, cloud=swept.cloud, lidar_world_from_lidar=swept.lidar_world_from_lidar)
             for picture, swept in zip(simulated[::2], simulated[shift::2], strict=True)
         ]
-        calibrator = method(solver="coordinate")
+        calibrator = method()
         moments = [calibrator.prepare(frame.without_truth()) for frame in frames]
         result = calibrator.solve(moments, start)
         found = delay_of([line_time.turns_of(line_time.drives_of(moments)[0], calibrator.options)], start)

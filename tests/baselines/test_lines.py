@@ -7,9 +7,9 @@ import numpy as np
 import p2o
 import pytest
 from p2o.solving import LeastSquares
-from p2o_baselines import canny_long, knn_line, lines, lsd, plane_lines, voxel_planes
-from p2o_baselines.lsd import ImageLines
-from p2o_baselines.plane_lines import CloudLines
+from p2o_baselines.edges import canny_long, knn_line, lines, lsd, plane_lines, voxel_planes
+from p2o_baselines.edges.lsd import ImageLines
+from p2o_baselines.edges.plane_lines import CloudLines
 from p2o_testing import stage
 
 
@@ -172,10 +172,7 @@ def test_borders_grow_into_segments_and_end_at_gaps() -> None:
     post = np.column_stack([np.full(20, 6.0), np.full(20, 1.0), np.linspace(-1, 1, 20)])
     beam = np.column_stack([np.full(20, 8.0), np.linspace(-2, 0, 20), np.full(20, 0.5)])
     on = beam + [0.0, 4.0, 0.0]  # goes on along the same line after a gap of 2 m
-    options = plane_lines.PlaneLinesOptions()
-    found = [
-        np.sort(np.round(ends, 6), axis=0).tolist() for ends in plane_lines.grown(np.vstack([post, beam, on]), options)
-    ]
+    found = [np.sort(np.round(ends, 6), axis=0).tolist() for ends in plane_lines.grown(np.vstack([post, beam, on]))]
     assert sorted(found) == [
         [[6.0, 1.0, -1.0], [6.0, 1.0, 1.0]],
         [[8.0, -2.0, 0.5], [8.0, 0.0, 0.5]],

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from p2o.errors import InputError
-from p2o_baselines import attributes, masks
-from p2o_baselines.cloud_segments import clusters_of, normals_of, one_a_voxel, planes_of
-from p2o_baselines.mask_consistency import cells_of, scores_of
-from p2o_baselines.masks import bordered, masks_of, read_masks
+from p2o_baselines.segments import attributes, masks
+from p2o_baselines.segments.cloud_segments import clusters_of, normals_of, one_a_voxel, planes_of
+from p2o_baselines.segments.mask_consistency import cells_of, scores_of
+from p2o_baselines.segments.masks import bordered, masks_of, read_masks
 from p2o_testing import stage
 
 

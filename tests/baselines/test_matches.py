@@ -11,11 +11,20 @@ import p2o
 import pytest
 from p2o import se3
 from p2o.cli import main
-from p2o_baselines import examples, feature_networks, matches
-from p2o_baselines.feature_networks import FEATURES, Keypoints, files_of
-from p2o_baselines.matched_pose import Matches, pose_of
-from p2o_baselines.matches import FrameMatches, MatchesCalibration, MatchesOptions, MatchesStart, pooled
-from p2o_baselines.reflectance_view import FlatImage, VirtualView, facing, flattened, looking, rendered, views_of
+from p2o_baselines import examples
+from p2o_baselines.information.reflectance_view import (
+    FlatImage,
+    VirtualView,
+    facing,
+    flattened,
+    looking,
+    rendered,
+    views_of,
+)
+from p2o_baselines.learned import feature_networks, matches
+from p2o_baselines.learned.feature_networks import FEATURES, Keypoints, files_of
+from p2o_baselines.learned.matched_pose import Matches, pose_of
+from p2o_baselines.learned.matches import FrameMatches, MatchesCalibration, MatchesOptions, MatchesStart, pooled
 from p2o_testing import stage
 
 AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
@@ -205,8 +214,13 @@ class NoNetworks:
         return np.empty((0, 2)), np.empty((0, 2))
 
 
+@pytest.fixture(autouse=True)
+def _small_views(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(matches, "_FOCAL_PX", 150.0)
+
+
 def calibration(**options: object) -> MatchesCalibration:
-    return MatchesCalibration(MatchesOptions(**{"focal_px": 150.0, **options}), NoNetworks())  # type: ignore[arg-type]
+    return MatchesCalibration(MatchesOptions(**options), NoNetworks())  # type: ignore[arg-type]
 
 
 def test_matches_of_several_frames_are_pooled_by_the_orientation_of_the_image() -> None:

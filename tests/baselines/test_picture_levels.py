@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from p2o_baselines.histogram import Hard, Levels, Linear, Spline
+from p2o_baselines.information.histogram import Hard, Levels, Linear, Spline
 
 RNG = np.random.default_rng(0)
 VALUE = RNG.uniform(0, 7, (9, 12))

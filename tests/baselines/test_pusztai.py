@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from p2o import Box, Camera, Result, Status, pose_error, se3
 from p2o.arrays import Float
-from p2o_baselines import pusztai
 from p2o_baselines.bodies.box_in_picture import BoxInPicture, boxes_in_picture, fitted_box, flat_at
 from p2o_baselines.bodies.box_in_sweep import (
     BoxInSweep,
@@ -20,6 +19,7 @@ from p2o_baselines.bodies.box_in_sweep import (
     symmetries,
 )
 from p2o_baselines.target_method import Sight
+from p2o_baselines.targets import pusztai
 
 from tests.baselines.body_scene import AWAY, CAMERA, CUBOID, FISHEYE, TRUTH, corner_on, frame, picture, sweep
 

@@ -16,7 +16,7 @@ import pytest
 import torch
 from p2o import InputError, Recipe, Registry, Status, TrainingGroup, TrainingProgress, se3
 from p2o.arrays import Float
-from p2o_baselines import calibnet, calibrcnn, lccnet, regnet, rggnet
+from p2o_baselines.learned import calibnet, calibrcnn, lccnet, regnet, rggnet
 from p2o_baselines.regressors import losses, method, parts, poses, staged, training
 from p2o_baselines.regressors import network_input as inputs
 from p2o_baselines.regressors.batch import Batch, correction

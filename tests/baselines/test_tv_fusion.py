@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from p2o_baselines.tv_fusion import coarse, divergence, filled, gradient
+from p2o_baselines.edges.tv_fusion import coarse, divergence, filled, gradient
 
 ONES = np.ones((12, 16))
 

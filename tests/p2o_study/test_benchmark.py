@@ -24,7 +24,7 @@ OWN_ROW = '[[row]]\nlabel = "a"\nextractor = "p2ornet/rings"\n'
 # ---- suites
 
 
-NEAREST = ("p2o_baselines/nearest.py", "-weight, *place.T", "-2 * weight, *place.T")
+NEAREST = ("p2o_baselines/edges/nearest.py", "-weight, *place.T", "-2 * weight, *place.T")
 FEWER = STUDY.replace("frames = 3 }", "frames = 2 }")
 RENAMED = ('"quick"\ncalibrator', '"renamed"\ncalibrator')
 

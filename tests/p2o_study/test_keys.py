@@ -77,7 +77,7 @@ def changed(registry: p2o.Registry, change: Callable[[], object]) -> set[str]:
         ("p2o_plugins/hooks.py", "import", "import zlib\nimport", set()),
         ("p2o_formats/kalibr.py", "_KNOWN = ", "_KNOWN = None or ", set()),
         ("p2o_sim/synthetic.py", "BASELINE_M = ", "BASELINE_M = 0.01 + ", set()),
-        ("p2o_baselines/nearest.py", "-weight, *place.T", "-2 * weight, *place.T", {"nearest"}),
+        ("p2o_baselines/edges/nearest.py", "-weight, *place.T", "-2 * weight, *place.T", {"nearest"}),
         ("p2o_plugins/match/ogm.py", '"LRUB", pattern', '"LRU", pattern', ALL - {"koo"}),
         ("p2o_plugins/p2ornet/thinning.py", "import", "import zlib\nimport", ALL - {"koo"}),
         ("p2o_plugins/cloud/scattered.py", "_NEAREST = ", "_NEAREST = 1 + ", ALL - {"koo"}),

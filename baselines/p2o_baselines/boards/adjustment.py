@@ -9,8 +9,8 @@ import numpy as np
 from p2o import Float, se3
 
 from p2o_baselines.boards.pairing import Pair
+from p2o_baselines.damped import descended
 
-_STEPS, _DAMPING = 50, 1e-6
 _LEAST_FREEDOM = 3  # least degrees of freedom from which the scatter of targets scales the covariance
 
 
@@ -34,27 +34,19 @@ Cost = Callable[[Pair, Float], Block]
 
 
 def adjusted(pairs: Sequence[Pair], cost: Cost, pose: Float) -> Float:
-    """Return the pose (4, 4) of the least sum of squares next to a given one: Levenberg and Marquardt."""
-    damping = _DAMPING
-    blocks = [cost(pair, pose) for pair in pairs]
-    least = _sum(blocks)
-    for _ in range(_STEPS):
+    """Return the pose (4, 4) of the least sum of squares next to a given one."""
+
+    def at(pose: Float) -> tuple[Float, list[Block]]:
+        return pose, [cost(pair, pose) for pair in pairs]
+
+    def step(state: tuple[Float, list[Block]], damping: float) -> tuple[Float, tuple[Float, list[Block]]]:
+        pose, blocks = state
         hessian = sum(block.by_update.T @ block.by_update for block in blocks)
         slope = sum(block.by_update.T @ block.residuals for block in blocks)
-        step = -np.linalg.solve(hessian + damping * np.diag(np.diag(hessian) + 1e-12), slope)
-        trial = se3.exp(step) @ pose
-        tried = [cost(pair, trial) for pair in pairs]
-        total = _sum(tried)
-        if total <= least * (1 + 1e-12):
-            done = np.abs(step).max() < 1e-9
-            pose, blocks, least, damping = trial, tried, total, max(damping / 10, 1e-12)
-            if done:
-                break
-        else:
-            damping *= 10
-            if damping > 1e8:
-                break
-    return pose
+        update = np.asarray(-np.linalg.solve(hessian + damping * np.diag(np.diag(hessian) + 1e-12), slope))
+        return update, at(se3.exp(update) @ pose)
+
+    return descended(at(pose), lambda state: _sum(state[1]), step, iterations=50, least_step=1e-9)[0]
 
 
 def _sum(blocks: Sequence[Block]) -> float:

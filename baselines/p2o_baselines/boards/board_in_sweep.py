@@ -245,7 +245,7 @@ def _pieces(rays: Rays, run: Int, near: Bool, longest_m: float, sigma_m: float) 
     starts = np.flatnonzero(np.r_[True, np.diff(run) != 0])
     for first, end in zip(starts, np.r_[starts[1:], len(run)], strict=True):
         if end - first >= 3 and near[first:end].any():
-            for piece in _straight(rays.xyz, first, end, 2.5 * sigma_m):
+            for piece in _straight(rays.xyz, int(first), int(end), 2.5 * sigma_m):
                 if len(piece) >= 3 and np.linalg.norm(rays.xyz[piece[-1]] - rays.xyz[piece[0]]) < 1.15 * longest_m:
                     yield piece
 

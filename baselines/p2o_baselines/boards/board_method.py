@@ -17,7 +17,8 @@ from p2o_baselines.boards.board_in_sweep import boards_in_sweep
 from p2o_baselines.boards.holes_in_picture import hole_boards_in_picture
 from p2o_baselines.boards.holes_in_sweep import hole_boards_in_sweep
 from p2o_baselines.boards.pairing import Hypotheses, Pair, Pairing, by_outline, paired
-from p2o_baselines.target_method import Sight, TargetOptions, missing_targets, once_per_sweep, pairing_warnings, refused
+from p2o_baselines.outcome import refused
+from p2o_baselines.target_method import Sight, TargetOptions, missing_targets, once_per_sweep, pairing_warnings
 
 _LEAST_TURN_DEG = 5.0  # normals within this angle of one plane leave a direction of the pose unobservable
 REMEDY = "add boards with other orientations, or with sides that rings cross"
@@ -109,7 +110,6 @@ class BoardMethod:
             replace(result, matches=_matches(pairs)),
             pose,
             covariance,
-            options,
             reason=f"points of {len(pairs)} boards are {1000 * after:.1f} mm from their planes (root mean square)",
             judged=Judged("points off boards", "m", before, after),
             remedy=REMEDY,

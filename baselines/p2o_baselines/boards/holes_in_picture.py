@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 import p2o
+from numpy.typing import NDArray
 from p2o import Bool, Float, HoleBoard, Int, se3
 
 from p2o_baselines.boards.board_in_picture import BoardInPicture
@@ -84,7 +85,7 @@ def hole_boards_in_picture(image: p2o.Image, targets: Sequence[p2o.Target]) -> t
     return tuple(detected)
 
 
-def _unambiguous(levels: Float, camera: p2o.Camera, board: BoardInPicture) -> BoardInPicture | None:
+def _unambiguous(levels: NDArray[np.float32], camera: p2o.Camera, board: BoardInPicture) -> BoardInPicture | None:
     """Return the better of the two nearly equivalent poses of a small board; None if both fit equally well."""
     target, own = board.target, board.camera_from_board
     assert isinstance(target, HoleBoard)
@@ -309,7 +310,7 @@ def _same_holes(pose: Float, other: Float, centres: Float) -> bool:
 
 
 def refined_by_rims(
-    levels: Float, camera: p2o.Camera, target: HoleBoard, pose: Float
+    levels: NDArray[np.float32], camera: p2o.Camera, target: HoleBoard, pose: Float
 ) -> tuple[float, BoardInPicture] | None:
     """Return the share of the rims on edges of `levels` (H, W, 3) and the board refined near a pose, or None."""
     rims, off, kept, sigma, hessian = None, np.zeros(0), np.zeros(0, np.bool_), 1.0, np.eye(7)
@@ -335,7 +336,7 @@ def refined_by_rims(
         return None
     # The background seen through a hole shifts sections of its rim together: only N samples of a rim are independent.
     places = min(_FREE_PLACES, 2 * np.pi * _radius_px(rims)) / _RIM
-    covariance = max(sigma, _LEAST_RIM_PX) ** 2 * np.linalg.pinv(hessian)[:6, :6] / places
+    covariance = np.asarray(max(sigma, _LEAST_RIM_PX) ** 2 * np.linalg.pinv(hessian)[:6, :6] / places)
     uv = rims.uv[kept] + off[kept, None] * rims.normal[kept]
     xyz = se3.apply(pose, target.centres)
     _, by_point = camera.project_with_jacobian(xyz)
@@ -398,7 +399,7 @@ def _places(camera: p2o.Camera, pose: Float, own: Float, tangent: Float, which: 
     return Rims(np.asarray(which), uv, normal, xyz, slant > _WALLED)
 
 
-def edge_offsets(levels: Float, rims: Rims, reach_px: float) -> Float:
+def edge_offsets(levels: NDArray[np.float32], rims: Rims, reach_px: float) -> Float:
     """Return the outward distance (K,) px of the first clear edge seen from the board; NaN without one nearby."""
     import cv2
 
@@ -415,10 +416,10 @@ def edge_offsets(levels: Float, rims: Rims, reach_px: float) -> Float:
     clear = top & (slope > np.maximum(_LEAST_STEP, _LEAST_SHARE * slope.max(axis=1))[:, None])
     first = np.argmax(clear, axis=1)
     rows = np.arange(len(first))
-    before, at, after = (slope[rows, np.clip(first + k, 0, slope.shape[1] - 1)] for k in (-1, 0, 1))
+    before, at, after = (slope[rows, np.clip(first + k, 0, len(along) - 1)] for k in (-1, 0, 1))
     with np.errstate(divide="ignore", invalid="ignore"):
         bow = np.clip(0.5 * (before - after) / (before - 2 * at + after), -0.5, 0.5)
-    inside = (rims.uv >= 1).all(axis=1) & (rims.uv < np.array(levels.shape[1::-1]) - 2).all(axis=1)
+    inside = (rims.uv >= 1).all(axis=1) & (rims.uv < np.array([levels.shape[1], levels.shape[0]]) - 2).all(axis=1)
     return np.where(clear.any(axis=1) & inside, along[first] - np.nan_to_num(bow) * _STEP_PX, np.nan)
 
 
@@ -434,7 +435,9 @@ def pattern_turns(target: HoleBoard) -> list[Float]:
     return out
 
 
-def _turned_by_outline(levels: Float, camera: p2o.Camera, board: BoardInPicture) -> tuple[float, BoardInPicture]:
+def _turned_by_outline(
+    levels: NDArray[np.float32], camera: p2o.Camera, board: BoardInPicture
+) -> tuple[float, BoardInPicture]:
     """Return the share of the outline on edges, and the board rotated by the symmetry of its holes with the most."""
     target = board.target
     assert isinstance(target, HoleBoard)

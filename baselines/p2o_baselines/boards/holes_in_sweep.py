@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import p2o
@@ -114,14 +115,14 @@ def fitted_pattern(
     """
     holes = np.array(target.holes)
     offsets = np.linspace(-reach_m, reach_m, _MOVES)
-    turns = [start + np.linspace(-_TURN_RAD, _TURN_RAD, _TURNS) for start in quarter_turns(target)]
-    turns = np.concatenate(turns)
+    small = np.linspace(-_TURN_RAD, _TURN_RAD, _TURNS)
+    turns = np.concatenate([start + small for start in quarter_turns(target)])
     grid = np.stack([each.ravel() for each in np.meshgrid(offsets, offsets, turns, indexing="ij")], axis=1)
     costs = wrong_m(xy, on, grid, holes, 0.0)
     inset, place = 0.0, grid[np.argmin(costs)]
     steps = [reach_m / 3, reach_m / 3, 0.03]
     for _ in range(2):
-        place = np.asarray(minimised(lambda at, inset=inset: wrong_m(xy, on, at, holes, inset), place, steps).x)
+        place = np.asarray(minimised(partial(wrong_m, xy, on, holes=holes, inset_m=inset), place, steps).x)
         insets = [float(wrong_m(xy, on, place, holes, each)) for each in _INSETS_M]
         inset = float(_INSETS_M[np.argmin(insets)])
     if np.abs(place[:2]).max() > 1.5 * reach_m:  # away from the board, where nothing contradicts
@@ -142,7 +143,9 @@ def fitted_pattern(
 def quarter_turns(target: HoleBoard) -> list[float]:
     """Return the rotations in rad about the normal that keep the outline and move the holes; 0 is included."""
     square = abs(target.width_m - target.height_m) < 0.03 * max(target.width_m, target.height_m)
-    holes, out, known = np.array(target.holes), [], []
+    holes = np.array(target.holes)
+    out: list[float] = []
+    known: list[Float] = []
     for quarter in range(0, 4, 1 if square else 2):
         turn = np.pi / 2 * quarter
         rotation = se3.exp(np.array([0, 0, turn, 0, 0, 0]))

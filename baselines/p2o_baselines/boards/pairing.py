@@ -127,7 +127,7 @@ def paired(sights: Sequence[Sight], start: Float, hypotheses: Hypotheses = by_ou
     if best is None:
         return None
     pose, near, others = best
-    return Pairing(tuple(_pair(*match, pose) for match in near), pose, others)
+    return Pairing(tuple(_pair(frame, board, patch, pose) for frame, board, patch in near), pose, others)
 
 
 def best_explained(

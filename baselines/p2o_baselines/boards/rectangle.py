@@ -29,6 +29,12 @@ class Rectangle(NamedTuple):
     turn_rad: float
     wrong_m: float
 
+    @classmethod
+    def at(cls, place: Float, wrong_m: float) -> Rectangle:
+        """Return the rectangle at a place (3,)."""
+        x_m, y_m, turn_rad = place.tolist()
+        return cls(x_m, y_m, turn_rad, wrong_m)
+
 
 def in_frame(xy: Float, place: Float) -> tuple[Float, Float]:
     """Return both coordinates (..., N) of points (N, 2) in frames at places (..., 3): x, y and rotation."""
@@ -83,7 +89,7 @@ def fitted(
         at = grid[np.argmin(costs)]
         deep = inside_m(xy, at, size_m, holes)
         if on[deep > 0.03].mean() < _LEAST_ON or (on & (deep > 0)).sum() < _LEAST_ON * 0.5 * on.sum():
-            return Rectangle(*at.tolist(), float(wrong_m(xy, on, at, size_m, holes)))
+            return Rectangle.at(at, float(wrong_m(xy, on, at, size_m, holes)))
         # Rays far from the border add no information.
         near_border = np.abs(deep) < 0.1
         xy, on = xy[near_border], on[near_border]
@@ -97,7 +103,7 @@ def fitted(
     best = min(ends, key=lambda end: float(end.fun))
     sizes = np.array([reach_m, reach_m, 2 * reach_m / max(size_m)])
     place, _ = averaged(lambda places: wrong_m(xy, on, places, size_m, holes), np.asarray(best.x), sizes, rng)
-    return Rectangle(*place.tolist(), float(wrong_m(xy, on, place, size_m, holes)))
+    return Rectangle.at(place, float(wrong_m(xy, on, place, size_m, holes)))
 
 
 def _on_raster(
@@ -120,7 +126,7 @@ def _on_raster(
             u = np.clip((seen[None, :, 0] - moved[:, :1]).astype(np.int32), 0, count - 1)
             v = np.clip((seen[None, :, 1] - moved[:, 1:]).astype(np.int32), 0, count - 1)
             out[:, column] += cost[side][u * np.int32(count) + v].sum(axis=1)
-    return out.ravel()
+    return np.asarray(out.ravel())
 
 
 def averaged(
@@ -146,5 +152,6 @@ def minimised(cost: Callable[[Float], Float], place: Float, steps: Sequence[floa
     from scipy.optimize import minimize
 
     simplex = np.vstack([place, place + np.diag(steps)])
-    settings = {"xatol": 1e-4, "fatol": 1e-5, "initial_simplex": simplex, **options}
-    return minimize(lambda at: float(cost(at)), place, method="Nelder-Mead", options=settings)
+    settings: Any = {"xatol": 1e-4, "fatol": 1e-5, "initial_simplex": simplex, **options}
+    search: Any = minimize
+    return search(lambda at: float(cost(at)), place, method="Nelder-Mead", options=settings)

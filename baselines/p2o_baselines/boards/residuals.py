@@ -32,7 +32,9 @@ def by_update_along(xyz: Float, direction: Float) -> Float:
 def joined(*blocks: Block) -> Block:
     """Return blocks of one board with independent residuals as one."""
     residuals, by_update, by_bias, variances = zip(*(block[:4] for block in blocks), strict=True)
-    return Block(*map(np.concatenate, (residuals, by_update, by_bias, variances)))
+    return Block(
+        np.concatenate(residuals), np.concatenate(by_update), np.concatenate(by_bias), np.concatenate(variances)
+    )
 
 
 def in_sweep(pair: Pair) -> tuple[Float, Float]:
@@ -58,7 +60,7 @@ def bearings_by_point(xyz: Float) -> Float:
     """Return how x / z and y / z change with points (N, 3), as one matrix (2N, 3N)."""
     from scipy.linalg import block_diag
 
-    return np.asarray(block_diag(*([[1 / z, 0, -x / z**2], [0, 1 / z, -y / z**2]] for x, y, z in xyz)))
+    return np.asarray(block_diag(*(np.array([[1 / z, 0, -x / z**2], [0, 1 / z, -y / z**2]]) for x, y, z in xyz)))
 
 
 def off_centres(pair: Pair, pose: Float) -> Block:

@@ -381,7 +381,7 @@ def fitted_box(box: BoxInPicture) -> BoxInPicture | None:
         jacobian = np.stack([(off(se3.exp(s) @ pose) - off(se3.exp(-s) @ pose)) / 2e-6 for s in steps], axis=1)
         if not np.isfinite(jacobian).all():
             return None
-        step = np.linalg.lstsq(jacobian, -here, rcond=None)[0]
+        step = np.asarray(np.linalg.lstsq(jacobian, -here, rcond=None)[0])
         step *= min(1.0, 0.3 / max(float(np.linalg.norm(step)), 1e-12))
         pose = se3.exp(step) @ pose
         if np.abs(step).max() < 1e-10:

@@ -105,7 +105,10 @@ def boxes_in_sweep(
 
 def corner_planes(xyz: Float, sigma_m: float, rng: np.random.Generator) -> tuple[Float, Float, list[Int]] | None:
     """Return normals (3, 3), offsets (3,) and points of three orthogonal faces, by RANSAC."""
-    left, normals, offsets, members = np.arange(len(xyz)), [], [], []
+    left = np.arange(len(xyz))
+    normals: list[Float] = []
+    offsets: list[float] = []
+    members: list[Int] = []
     for _ in range(3):
         if len(left) < _LEAST_FACE:
             return None
@@ -145,10 +148,10 @@ def _box(rays: Rays, about: Int, size: Float, sigma_m: float) -> BoxInSweep | No
         return None
     normals, offsets, members = planes
     u, _, vt = np.linalg.svd(normals * np.sqrt([[len(m)] for m in members]))
-    square = u @ vt  # rows: the normals, made square to each other
+    square: Float = np.asarray(u @ vt)  # rows: the normals, made square to each other
     if (np.einsum("ki,ki->k", square, normals) < 0.9).any():
         return None
-    corner = np.linalg.solve(normals, offsets)
+    corner = np.asarray(np.linalg.solve(normals, offsets))
     best: tuple[float, Float, float] | None = None
     for order in permutations(range(3)):
         start = _placed(square[list(order)], corner, size)
@@ -193,7 +196,7 @@ def _rows(xyz: Float, pose: Float, face: Int) -> tuple[Float, Float]:
 def _weights(xyz: Float, facing: Float, sigma_m: float) -> Float:
     """Return deviations (N,) of distances from faces: of ranges by the incidence, and of beams across it."""
     far = np.linalg.norm(xyz, axis=1)
-    return np.hypot(sigma_m * facing, _ANGLE_RAD * far * np.sqrt(np.clip(1 - facing**2, 0, 1)))
+    return np.asarray(np.hypot(sigma_m * facing, _ANGLE_RAD * far * np.sqrt(np.clip(1 - facing**2, 0, 1))))
 
 
 def _fitted(xyz: Float, pose: Float, size: Float, sigma_m: float) -> tuple[Float, float] | None:
@@ -208,7 +211,7 @@ def _fitted(xyz: Float, pose: Float, size: Float, sigma_m: float) -> tuple[Float
             return None
         rows, facing = _rows(xyz[on], pose, face[on])
         spread = _weights(xyz[on], facing, sigma)
-        step = np.linalg.lstsq(rows / spread[:, None], -away[on] / spread, rcond=None)[0]
+        step = np.asarray(np.linalg.lstsq(rows / spread[:, None], -away[on] / spread, rcond=None)[0])
         if np.linalg.norm(step) > 0.5:
             return None
         pose = se3.exp(step) @ pose
@@ -253,7 +256,7 @@ def _with_faces(xyz: Float, pose: Float, size: Float, sigma: float) -> BoxInSwee
     on = face >= 0
     rows, facing = _rows(xyz[on], pose, face[on])
     rows = rows / _weights(xyz[on], facing, sigma)[:, None]
-    faces = []
+    faces: list[Face] = []
     for axis in range(3):
         points = xyz[face == axis]
         if len(points) < _LEAST_FACE:
@@ -263,4 +266,5 @@ def _with_faces(xyz: Float, pose: Float, size: Float, sigma: float) -> BoxInSwee
         normal = -normal if normal @ middle > 0 else normal
         faces.append(Face(points, normal, float(normal @ middle), sigma))
     width, height, depth = size.tolist()
-    return BoxInSweep((width, height, depth), pose, np.linalg.pinv(rows.T @ rows), sigma, tuple(faces))
+    covariance = np.asarray(np.linalg.pinv(rows.T @ rows))
+    return BoxInSweep((width, height, depth), pose, covariance, sigma, (faces[0], faces[1], faces[2]))

@@ -11,8 +11,11 @@ import numpy as np
 from p2o import Float, se3
 
 from p2o_baselines.boards.adjustment import is_determined, shared_errors, variance_factor
+from p2o_baselines.damped import descended
 
-_STEPS, _STEP = 40, 1e-6
+_STEP = 1e-6
+_State = tuple[Float, list[Float]]
+"""A pose (4, 4), and the unknowns of each body."""
 
 
 class Body(Protocol):
@@ -52,26 +55,21 @@ class _Part:
 def adjusted(
     bodies: Sequence[Body], pose: Float, own: Sequence[Float], *, range_bias_m: float, camera_px: float
 ) -> Fit:
-    """Return the fit next to a pose (4, 4) and unknowns: Levenberg and Marquardt, each body's unknowns eliminated."""
-    places, damping = [np.array(each, np.float64) for each in own], 1e-6
-    least = _cost(bodies, pose, places)
-    for _ in range(_STEPS):
+    """Return the fit next to a pose (4, 4) and unknowns; each body's unknowns are eliminated from the steps."""
+
+    def step(state: _State, damping: float) -> tuple[Float, _State]:
+        pose, places = state
         parts = [_part(body, pose, place, damping) for body, place in zip(bodies, places, strict=True)]
         hessian = np.asarray(sum(part.hessian for part in parts))
         slope = np.asarray(sum(part.slope for part in parts))
-        step = -np.linalg.lstsq(hessian + damping * np.diag(np.diag(hessian) + 1e-12), slope, rcond=None)[0]
-        trial = se3.exp(step) @ pose
-        tried = [place + part.rest - part.back @ step for place, part in zip(places, parts, strict=True)]
-        total = _cost(bodies, trial, tried)
-        if total <= least * (1 + 1e-12):
-            done = np.abs(step).max() < 1e-8 or least - total <= 1e-9 * least
-            pose, places, least, damping = trial, tried, total, max(damping / 10, 1e-12)
-            if done:
-                break
-        else:
-            damping *= 10
-            if damping > 1e8:
-                break
+        damped = hessian + damping * np.diag(np.diag(hessian) + 1e-12)
+        update = -np.linalg.lstsq(damped, slope, rcond=None)[0]
+        moved = [place + part.rest - part.back @ update for place, part in zip(places, parts, strict=True)]
+        return update, (se3.exp(update) @ pose, moved)
+
+    start = (pose, [np.array(each, np.float64) for each in own])
+    limits = {"least_step": 1e-8, "least_gain": 1e-9}
+    pose, places = descended(start, lambda state: _cost(bodies, *state), step, iterations=40, **limits)
     covariance = _covariance(bodies, pose, places, range_bias_m, camera_px)
     return Fit(pose, tuple(places), covariance)
 

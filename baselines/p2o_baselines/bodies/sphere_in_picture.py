@@ -32,7 +32,7 @@ class SphereInPicture:
     @property
     def centre(self) -> Float:
         """Return the centre (3,) m in the camera frame, at the distance that follows from radius and cone."""
-        return self.axis * self.target.radius_m / np.sin(self.half_rad)
+        return np.asarray(self.axis * self.target.radius_m / np.sin(self.half_rad))
 
 
 def cone_of(rays: Float) -> tuple[Float, float]:

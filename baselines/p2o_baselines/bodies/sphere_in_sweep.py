@@ -50,7 +50,7 @@ def off_sphere(xyz: Float, centre: Float, radius_m: float) -> tuple[Float, Float
 def range_sigma(xyz: Float, facing: Float, sigma_m: float) -> Float:
     """Return standard deviations (N,) m of ranges: their noise, and that of beam angles at oblique incidence."""
     slant = np.sqrt(np.clip(1 - facing**2, 0, 1)) / facing
-    return np.hypot(sigma_m, _ANGLE_RAD * np.linalg.norm(xyz, axis=1) * slant)
+    return np.asarray(np.hypot(sigma_m, _ANGLE_RAD * np.linalg.norm(xyz, axis=1) * slant))
 
 
 def fitted_sphere(xyz: Float, centre: Float, radius_m: float, sigma_m: float, free: bool = False) -> Float:

@@ -30,7 +30,7 @@ class TrihedronInSweep:
     @property
     def corner(self) -> Float:
         """Return the intersection of the three planes (3,) m."""
-        return np.linalg.solve(self.normals, self.offsets)
+        return np.asarray(np.linalg.solve(self.normals, self.offsets))
 
     @cached_property
     def _across(self) -> Float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from torch import nn
 
@@ -24,14 +25,14 @@ def lccnet(size: str) -> PairNetwork:
     """Return the network: two branches of ResNet-18, cost volume, PWC-Net's dense estimator, two heads."""
     if size == "paper":
         dense, branches = parts.DenseTrunk(81), [parts.resnet18(3), parts.resnet18(1)]
-        join, about = parts.CostVolume(4), {"features": dense.outputs * 8 * 16, "hidden": (512,), "apart": 256}
-        return PairNetwork(branches, join, dense, outputs=(4, 3), tell_reach=False, **about)
+        about: dict[str, Any] = {"features": dense.outputs * 8 * 16, "apart": 256, "tell_reach": False}
+        return PairNetwork(branches, parts.CostVolume(4), dense, hidden=(512,), outputs=(4, 3), **about)
     trunk = nn.Sequential(
         convolution(81 + 48, 64), convolution(64, 64, 3, 2), convolution(64, 64), convolution(64, 24, 3)
     )
     branches = [parts.small_branch(3), parts.small_branch(1)]
-    join, features = parts.CostVolumeBeside(4), 24 * 3 * 10
-    return PairNetwork(branches, join, trunk, features=features, hidden=(128,), outputs=(4, 3), apart=64)
+    sizes: dict[str, Any] = {"features": 24 * 3 * 10, "apart": 64}
+    return PairNetwork(branches, parts.CostVolumeBeside(4), trunk, hidden=(128,), outputs=(4, 3), **sizes)
 
 
 def regnet(size: str) -> PairNetwork:
@@ -45,12 +46,13 @@ def regnet(size: str) -> PairNetwork:
 
         branches, features = [branch(3, 96, 256, 384), branch(1, 48, 128, 192)], 512 * 6 * 19
         trunk = nn.Sequential(nin(576, 512, 5, 1), nin(512, 512, 3, 1), nn.MaxPool2d(3, 2, 1))
-        about = {"hidden": (512, 256), "tell_reach": False}
+        hidden, tell_reach = (512, 256), False
     else:
         branches = [nn.Sequential(nin(n, 16, 5, 2), nin(16, 32, 3, 2), nin(32, 48, 3, 2)) for n in (3, 1)]
         trunk, features = nn.Sequential(nin(96, 64, 5, 1), nin(64, 64, 3, 2), convolution(64, 24, 1)), 24 * 3 * 10
-        about = {"hidden": (128, 64)}
-    return PairNetwork(branches, parts.Beside(), trunk, features=features, outputs=(4, 4), **about)
+        hidden, tell_reach = (128, 64), True
+    about: dict[str, Any] = {"features": features, "hidden": hidden, "tell_reach": tell_reach}
+    return PairNetwork(branches, parts.Beside(), trunk, outputs=(4, 4), **about)
 
 
 def rggnet(size: str) -> PairNetwork:
@@ -58,7 +60,7 @@ def rggnet(size: str) -> PairNetwork:
     if size != "paper":
         return _small(channels=5, hidden=(128, 64))
     branches = [nn.Sequential(nn.AvgPool2d(2), parts.resnet50(inputs), nn.AdaptiveAvgPool2d(1)) for inputs in (3, 5)]
-    about = {"features": 4096, "hidden": (2048, 1024, 512), "outputs": (3, 3)}
+    about: dict[str, Any] = {"features": 4096, "hidden": (2048, 1024, 512), "outputs": (3, 3)}
     return PairNetwork(branches, parts.Beside(), nn.Identity(), dropout=0.5, tell_reach=False, **about)
 
 
@@ -66,7 +68,7 @@ def _small(channels: int = 1, hidden: Sequence[int] = (128,), memory: int = 0) -
     """Return the network for a CPU that regresses a rotation vector and a translation."""
     branches = [parts.small_branch(3), parts.small_branch(channels)]
     trunk = nn.Sequential(convolution(96, 64), convolution(64, 64, 3, 2), convolution(64, 64), convolution(64, 24))
-    about = {"features": 24 * 3 * 10, "hidden": hidden, "memory": memory, "outputs": (3, 3)}
+    about: dict[str, Any] = {"features": 24 * 3 * 10, "hidden": hidden, "memory": memory, "outputs": (3, 3)}
     return PairNetwork(branches, parts.Beside(), trunk, **about)
 
 
@@ -74,5 +76,11 @@ def _resnet18(hidden: Sequence[int] = (), memory: int = 0) -> PairNetwork:
     """Return branches of ResNet-18, half as wide for the sweep, and convolutions over both, for 375 x 1242 px."""
     branches = [parts.resnet18(3, first_stride=2), parts.resnet18(1, 32, first_stride=2)]
     trunk = nn.Sequential(convolution(768, 384, 3, 2), convolution(384, 384, 3, 2), convolution(384, 384, 1))
-    about = {"features": 384 * 2 * 5, "hidden": hidden, "memory": memory, "outputs": (3, 3), "tell_reach": False}
+    about: dict[str, Any] = {
+        "features": 384 * 2 * 5,
+        "hidden": hidden,
+        "memory": memory,
+        "outputs": (3, 3),
+        "tell_reach": False,
+    }
     return PairNetwork(branches, parts.Beside(), trunk, **about)

@@ -73,8 +73,6 @@ class StagedRegressor:
             for _ in range(self.options.rounds):
                 corrections = self.corrections(prepared, poses, stage)
                 poses = np.stack([each @ pose for each, pose in zip(corrections, poses, strict=True)])
-                if self.options.median == "each" and np.isfinite(poses).all():
-                    poses = np.repeat(median(poses)[None], len(poses), axis=0)
                 out.append(poses)
         return out
 

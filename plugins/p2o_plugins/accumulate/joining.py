@@ -1,4 +1,4 @@
-"""Join the sweeps of neighbouring frames by their poses, with the options that all accumulators have."""
+"""Accumulators `poses`, `gicp` and `kiss-icp`: join sweeps of neighbouring frames by given or estimated poses."""
 
 from __future__ import annotations
 
@@ -51,3 +51,51 @@ class Joining:
             frames = [replace(f, lidar_world_from_lidar=pose) for f, pose in zip(frames, poses, strict=True)]
         options = self.options
         return accumulated(frames[number], frames, voxel_m=options.voxel_m, max_range_m=options.max_range_m)
+
+
+def build_gicp(options: JoiningOptions) -> p2o.Accumulator:
+    """Return the accumulator by poses of small_gicp."""
+    import small_gicp  # noqa: F401  (report a missing package before any frame is read)
+    from p2o.solving import poses_by_gicp
+
+    return Joining(options, poses_by_gicp)
+
+
+def build_kiss_icp(options: JoiningOptions) -> p2o.Accumulator:
+    """Return the accumulator by poses of KISS-ICP."""
+    import kiss_icp  # noqa: F401  (report a missing package before any frame is read)
+    from p2o.solving import poses_by_kiss_icp
+
+    return Joining(options, poses_by_kiss_icp)
+
+
+METHODS = (
+    p2o.Method(
+        name="gicp",
+        build=build_gicp,
+        options=JoiningOptions,
+        summary="Joins sweeps of a sequence by poses that small_gicp finds from each sweep to the next.",
+        needs={"sequence"},
+        gives={"dense"},
+        cite="Koide, small_gicp, JOSS 2024; Segal et al., Generalized-ICP, RSS 2009",
+        extra="gicp",
+    ),
+    p2o.Method(
+        name="kiss-icp",
+        build=build_kiss_icp,
+        options=JoiningOptions,
+        summary="Joins sweeps of a sequence by poses that KISS-ICP finds against a map of the sweeps before.",
+        needs={"sequence"},
+        gives={"dense"},
+        cite="Vizzo et al., KISS-ICP, RA-L 2023",
+        extra="kiss-icp",
+    ),
+    p2o.Method(
+        name="poses",
+        build=Joining,
+        options=JoiningOptions,
+        summary="Joins sweeps of a sequence by the poses of the LiDAR that the data give.",
+        needs={"sequence", "lidar-pose"},
+        gives={"dense"},
+    ),
+)

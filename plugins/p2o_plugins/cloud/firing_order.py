@@ -111,9 +111,9 @@ def _fitted(cones: Float, flat: Float, z: Float) -> Float:
     points, inverse, squared, sum_rise, product = (
         np.bincount(label, weight, count) for weight in (None, 1 / d, 1 / d**2, rise, rise / d)
     )
-    squared = squared + (0.003 / 0.05) ** 2
-    det = np.maximum(squared * points - inverse**2, 1e-9)
-    slope = (sum_rise * squared - inverse * product) / det
+    with_prior = squared + (0.003 / 0.05) ** 2
+    det = np.maximum(with_prior * points - inverse**2, 1e-9)
+    slope = (sum_rise * with_prior - inverse * product) / det
     height = cones[:, 1] + (product * points - inverse * sum_rise) / det
     enough = max(_FEWEST_POINTS, _LEAST_SHARE * float(np.median(points)))
     kept: list[int] = []

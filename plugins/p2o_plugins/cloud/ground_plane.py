@@ -12,7 +12,7 @@ from p2o_plugins.cloud.sweep import Returns
 _SAMPLE, _TRIALS, _BAND_M, _REACH_M, _POLISH, _MOST_UNDER = 3000, 200, 0.15, 40.0, 3, 0.25
 
 
-def ground_plane(sweep: Returns, seed: int, max_tilt_deg: float = 30.0, min_share: float = 0.1) -> Float | None:
+def ground_plane(sweep: Returns, seed: int = 0, max_tilt_deg: float = 30.0, min_share: float = 0.1) -> Float | None:
     """Return the plane (4,) n, d with |n| = 1 and n . x + d the height in metres above the ground, or None.
 
     The inclination to the sensor's xy plane is at most `max_tilt_deg`; the plane contains at least `min_share` of the

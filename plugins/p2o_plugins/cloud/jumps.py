@@ -10,20 +10,16 @@ from scipy.spatial import cKDTree
 
 from p2o_plugins.cloud.sweep import Neighbours, Returns
 
+MIN_JUMP_SHARE = 0.02  # share of the nearer range that is added to `min_jump_m`
+SLANT_RATIO = 3.0  # the jump exceeds this many times the one of a plane that goes on from the nearer surface
+GRAZING_SHARE = 0.6  # the background falls away by at most this share of the jump after it
+_NEIGHBOUR_M, _NEIGHBOUR_SHARE = 0.8, 0.02  # radius around an edge: in metres, at least this share of the range
+
 
 class JumpOptions(Options):
     """Criteria for an occlusion edge between neighbouring returns."""
 
     min_jump_m: float = field(0.4, gt=0, help="Smallest step in range between neighbouring beams, in metres.")
-    min_jump_share: float = field(0.02, ge=0, help="Added to that step: this share of the nearer range.")
-    slant_ratio: float = field(
-        3.0,
-        ge=0,
-        help="The jump exceeds this many times the one of a plane that goes on from the nearer surface; 0: off.",
-    )
-    grazing_share: float = field(
-        0.6, ge=0, help="The background falls away by at most this share of the jump after it; 0: off."
-    )
     ground_height_m: float = field(0.25, ge=0, help="Edges lower than this over the ground plane are dropped; 0: off.")
     min_support: float = field(
         0.4,
@@ -32,19 +28,13 @@ class JumpOptions(Options):
         help="Share of the seven signs of a clean outline that an edge shows at least (leaves: few); upright edges "
         "show less where rings are further apart than those of an HDL-64E, and are asked for less.",
     )
-    weigh: bool = field(True, help="Weigh edges by that share; otherwise all edges weigh 1.")
     min_neighbours: int = field(
         2, ge=0, help="Other edges of the same direction that an edge has around it (upright ones as above); 0: off."
-    )
-    neighbour_m: float = field(0.8, gt=0, help="Radius in which they are counted, in metres.")
-    neighbour_share: float = field(
-        0.02, ge=0, help="The radius is at least this share of the range, and reaches the second next ring."
     )
     shift_beams: float = field(
         0.5, ge=0, le=1, help="Move edges by this share of the gap to the passing beam; the outline lies halfway."
     )
     max_points: int = field(40_000, ge=0, help="Surface points kept for hidden-surface tests, at most.")
-    seed: int = field(0, ge=0, help="Seed of the ground plane's random samples.")
 
 
 _SIGNS = 7
@@ -76,7 +66,7 @@ def reliable_jumps(
     rows, support = rows[keep], support[keep]
     # A vertical edge requires at least one other edge.
     others = options.min_neighbours and max(1, round(options.min_neighbours * share))
-    keep = _has_neighbours(sweep, rows, others, step, options)
+    keep = _has_neighbours(sweep, rows, others, step)
     return rows[keep], support[keep]
 
 
@@ -93,7 +83,7 @@ def support_of(
     along = (Side.UPPER, Side.BOTTOM) if side in (Side.LEFT, Side.RIGHT) else (Side.LEFT, Side.RIGHT)
 
     def continues(start: Int, step: Neighbours) -> Bool:
-        reach = 0.5 * (options.min_jump_m + options.min_jump_share * r[start])
+        reach = 0.5 * (options.min_jump_m + MIN_JUMP_SHARE * r[start])
         on: Bool = step.known[start] & (np.abs(r[step.row[start]] - r[start]) < reach)
         return on
 
@@ -111,7 +101,7 @@ def support_of(
     return signs / _SIGNS
 
 
-def _has_neighbours(sweep: Returns, rows: Int, others: int, step: float, options: JumpOptions) -> Bool:
+def _has_neighbours(sweep: Returns, rows: Int, others: int, step: float) -> Bool:
     """Return which edges have enough others of their direction around them (the paper's radius filter).
 
     The radius reaches the second next ring, at `step` radians from ring to ring.
@@ -119,8 +109,8 @@ def _has_neighbours(sweep: Returns, rows: Int, others: int, step: float, options
     if others == 0 or len(rows) <= others:
         return np.full(len(rows), others == 0)
     xyz = sweep.xyz(rows)
-    share = max(options.neighbour_share, 2.2 * step)
-    radius = np.maximum(options.neighbour_m, share * sweep.range_m[rows])
+    share = max(_NEIGHBOUR_SHARE, 2.2 * step)
+    radius = np.maximum(_NEIGHBOUR_M, share * sweep.range_m[rows])
     tree = cKDTree(xyz, balanced_tree=False, compact_nodes=False)
     distance = np.asarray(tree.query(xyz, k=[others + 1], distance_upper_bound=float(radius.max()) * 1.001)[0])
     keep: Bool = distance[:, 0] <= radius
@@ -147,4 +137,4 @@ def towards_background(xyz: Float, side: Side) -> Float:
         return rising if side is Side.LEFT else -rising
     far = np.maximum(np.linalg.norm(xyz, axis=1), 1e-9)
     rising = np.column_stack([-xyz[:, 0] * xyz[:, 2] / flat, -xyz[:, 1] * xyz[:, 2] / flat, flat]) / far[:, None]
-    return rising if side is Side.UPPER else -rising
+    return np.asarray(rising if side is Side.UPPER else -rising)

@@ -6,9 +6,21 @@ import numpy as np
 from p2o import Cloud, CloudEdges, CloudExtractor, CloudFeatures, CloudRemarks, Float, Int, Method, Side, field
 
 from p2o_plugins.cloud.ground_plane import ground_plane
-from p2o_plugins.cloud.jumps import JumpOptions, edges_of, reliable_jumps, towards_background
+from p2o_plugins.cloud.jumps import (
+    GRAZING_SHARE,
+    MIN_JUMP_SHARE,
+    SLANT_RATIO,
+    JumpOptions,
+    edges_of,
+    reliable_jumps,
+    towards_background,
+)
 from p2o_plugins.cloud.scattered import Around, Scattered, ahead_of, around, in_front, kept, neighbour, scattered
 from p2o_plugins.cloud.sweep import Neighbours, Single, turn_to
+
+_MAX_SPACINGS = 3.0  # farthest neighbour that is not a missing return, in usual steps from one return to the next
+_OPEN_SHARE = 0.5
+"""Share of the neighbours on the side of an edge that lie further away; with fewer the surface goes on."""
 
 
 class RangeViewOptions(JumpOptions):
@@ -18,15 +30,6 @@ class RangeViewOptions(JumpOptions):
         (0.0, 0.0, 0.0),
         help="Where the beams start, x y z in the cloud's frame, or about where the camera is: merged clouds lie in a "
         "frame of the vehicle, from whose origin nothing was seen.",
-    )
-    max_spacings: float = field(
-        3.0, gt=0, help="Farthest neighbour that is not a missing return, in usual steps from one return to the next."
-    )
-    open_share: float = field(
-        0.5,
-        ge=0,
-        le=1,
-        help="Share of the neighbours on the side of an edge that lie further away; with fewer the surface goes on.",
     )
 
 
@@ -47,11 +50,11 @@ def range_view_edges(cloud: Cloud, options: RangeViewOptions) -> CloudFeatures:
     if len(seen) < 2:
         return CloudFeatures(CloudEdges.empty(), seen.xyz(slice(0, options.max_points)))
     near = around(seen)
-    front = in_front(seen, near, options.min_jump_m, options.min_jump_share)
+    front = in_front(seen, near, options.min_jump_m, MIN_JUMP_SHARE)
     remarks = _about_origin(1 - float(front.mean()), options)
     seen, near = kept(seen, near, front)
-    neighbours = {side: neighbour(seen, near, side, options.max_spacings) for side in _SIDES}
-    plane = ground_plane(seen, options.seed) if options.ground_height_m > 0 else None
+    neighbours = {side: neighbour(seen, near, side, _MAX_SPACINGS) for side in _SIDES}
+    plane = ground_plane(seen) if options.ground_height_m > 0 else None
     step = float(seen.spacing[1])
     parts = []
     for side in _SIDES:
@@ -64,8 +67,7 @@ def range_view_edges(cloud: Cloud, options: RangeViewOptions) -> CloudFeatures:
         gap = np.where(gap > _STRIP * own, own, gap)
         gap *= seen.flat_m[rows] if side in _LEVEL else seen.range_m[rows]
         xyz = ray + options.shift_beams * gap[:, None] * background + origin
-        weight = support if options.weigh else np.ones(len(rows))
-        parts.append((rows, side, xyz, weight, gap / np.sqrt(12), background))
+        parts.append((rows, side, xyz, support, gap / np.sqrt(12), background))
     every = slice(None, None, -(-len(seen) // options.max_points)) if options.max_points else slice(0)
     return CloudFeatures(edges_of(seen, parts), seen.xyz(every), features=remarks)
 
@@ -101,20 +103,19 @@ def jumps_between(seen: Scattered, near: Around, behind: Neighbours, side: Side,
     """Return the rows whose neighbour on `side` is farther away by a step that no single surface explains."""
     r = seen.range_m
     jump = r[behind.row] - r
-    rows = np.flatnonzero(behind.known & (jump > options.min_jump_m + options.min_jump_share * r))
-    if options.open_share > 0:
-        beyond, ahead = ahead_of(near, rows, side, options.max_spacings)
-        leap = 0.5 * (options.min_jump_m + options.min_jump_share * r[rows])
-        far = ahead & (r[beyond] - r[rows, None] > leap[:, None])
-        rows = rows[far.sum(axis=1) >= options.open_share * ahead.sum(axis=1)]
-    if options.slant_ratio > 0 and len(rows):
+    rows = np.flatnonzero(behind.known & (jump > options.min_jump_m + MIN_JUMP_SHARE * r))
+    beyond, ahead = ahead_of(near, rows, side, _MAX_SPACINGS)
+    leap = 0.5 * (options.min_jump_m + MIN_JUMP_SHARE * r[rows])
+    far = ahead & (r[beyond] - r[rows, None] > leap[:, None])
+    rows = rows[far.sum(axis=1) >= _OPEN_SHARE * ahead.sum(axis=1)]
+    if len(rows):
         predicted = _continued(seen, near, rows, behind.row[rows], jump[rows])
-        rows = rows[~(jump[rows] <= options.slant_ratio * (predicted - r[rows]))]
-    if options.grazing_share > 0 and len(rows):
+        rows = rows[~(jump[rows] <= SLANT_RATIO * (predicted - r[rows]))]
+    if len(rows):
         back = behind.row[rows]
         predicted = _continued(seen, near, back, rows, jump[rows])
-        rows = rows[~(r[back] - predicted > options.grazing_share * jump[rows])]
-    return rows
+        rows = rows[~(r[back] - predicted > GRAZING_SHARE * jump[rows])]
+    return np.asarray(rows)
 
 
 def own_step(seen: Scattered, near: Around, rows: Int, side: Side, options: RangeViewOptions) -> Single:
@@ -125,7 +126,7 @@ def own_step(seen: Scattered, near: Around, rows: Int, side: Side, options: Rang
     outline.
     """
     r = seen.range_m[rows, None]
-    same = np.abs(seen.range_m[near.row[rows]] - r) < options.min_jump_m + options.min_jump_share * r
+    same = np.abs(seen.range_m[near.row[rows]] - r) < options.min_jump_m + MIN_JUMP_SHARE * r
     away = np.partition(np.where(same, near.away[rows], np.float32(np.inf)), _OWN - 1, axis=1)[:, _OWN - 1]
     # Number of returns that fill the half circle on the near side of the outline.
     step: Single = away * np.float32(np.sqrt(0.5 * np.pi / _OWN) * seen.spacing[0 if side in _LEVEL else 1])

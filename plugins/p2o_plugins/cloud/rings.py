@@ -10,11 +10,24 @@ from p2o.reading import RingsUnknownError, neighbour_gap
 
 from p2o_plugins.cloud.firing_order import rings_in_firing_order
 from p2o_plugins.cloud.ground_plane import ground_plane
-from p2o_plugins.cloud.jumps import JumpOptions, edges_of, reliable_jumps, towards_background
+from p2o_plugins.cloud.jumps import (
+    GRAZING_SHARE,
+    MIN_JUMP_SHARE,
+    SLANT_RATIO,
+    JumpOptions,
+    edges_of,
+    reliable_jumps,
+    towards_background,
+)
 from p2o_plugins.cloud.open_sky import FAR_M, opened
 from p2o_plugins.cloud.range_view import RangeViewOptions, range_view_edges
 from p2o_plugins.cloud.sensor_place import in_sensor_frame, sensor_place
 from p2o_plugins.cloud.sweep import Neighbours, Sweep, across_rings, along_ring, order_sweep
+
+_MAX_STEP_DEG = 3.0  # widest elevation gap between rings that are neighbours
+_OPEN_LEAST_DEG = 5.0  # least elevation of the highest ring for edges against the open sky; lower ones hit
+_OPEN_RANGE_M = 60.0  # farthest edge against the open sky: far returns are lost
+_OPEN_GAP_DEG = 1.0  # narrowest gap on a ring that can be the open sky
 
 
 class RingsOptions(JumpOptions):
@@ -27,18 +40,9 @@ class RingsOptions(JumpOptions):
         help="Widest azimuth gap on a ring that is not a missing return; 1.4 azimuth steps of the sweep if these are "
         "wider.",
     )
-    max_step_deg: float = field(3.0, gt=0, lt=90, help="Widest elevation gap between rings that are neighbours.")
     open_weight: float = field(
         1.0, ge=0, le=1, help="Weight of edges against the open sky, of others' weights; 0: none of them."
     )
-    open_least_deg: float = field(
-        5.0,
-        ge=-90,
-        le=90,
-        help="None of them where the highest ring looks up by less: it meets something nearly always.",
-    )
-    open_range_m: float = field(60.0, gt=0, help="Farthest edge against the open sky: far returns are lost.")
-    open_gap_deg: float = field(1.0, gt=0, le=90, help="Narrowest gap on a ring that can be the open sky.")
     open_wider_beams: float = field(
         0.4,
         ge=0,
@@ -89,13 +93,13 @@ def ring_edges(cloud: Cloud, options: RingsOptions) -> CloudFeatures:
         return _moved(ring_edges(in_sensor_frame(cloud, place), at_origin), place)
     neighbours = neighbours_of(sweep, options)
     paired = float(np.mean(neighbours[Side.LEFT].known)) if len(sweep) else 1.0
-    plane = ground_plane(sweep, options.seed) if options.ground_height_m > 0 else None
+    plane = ground_plane(sweep) if options.ground_height_m > 0 else None
     beam, step = neighbours[Side.LEFT].median_gap, neighbours[Side.BOTTOM].median_gap
     every = slice(None, None, -(-len(sweep) // max(options.max_points, 1)))
     surface = sweep.xyz(every) if options.max_points and len(sweep) else np.zeros((0, 3))
-    looks_up = len(sweep) > 0 and np.degrees(np.arctan(sweep.slope[0])) >= options.open_least_deg
+    looks_up = len(sweep) > 0 and np.degrees(np.arctan(sweep.slope[0])) >= _OPEN_LEAST_DEG
     if options.open_weight > 0 and beam > 0 and looks_up:
-        sweep = opened(sweep, beam, options.open_gap_deg, plane, options.open_range_m)
+        sweep = opened(sweep, beam, _OPEN_GAP_DEG, plane, _OPEN_RANGE_M)
         neighbours = neighbours_of(sweep, options)
     jumps = {side: jumps_of(sweep, neighbours, side, options) for side in neighbours}
     jumps = {side: _sure(sweep, neighbours, side, rows, options) for side, rows in jumps.items()}
@@ -105,8 +109,7 @@ def ring_edges(cloud: Cloud, options: RingsOptions) -> CloudFeatures:
         into_open = sweep.range_m[neighbours[side].row[rows]] == FAR_M
         wider = np.where(into_open, options.open_wider_beams * beam, 0.0)
         xyz, sigma = outline(sweep, neighbours[side], side, rows, beam, options.shift_beams, wider)
-        weight = support if options.weigh else np.ones(len(rows))
-        weight = np.where(into_open, options.open_weight, 1.0) * weight
+        weight = np.where(into_open, options.open_weight, 1.0) * support
         parts.append((rows, side, xyz, weight, sigma, towards_background(xyz, side)))
     features = CloudFeatures(edges_of(sweep, parts), surface)
     return features if paired >= _FEWEST_PAIRED else features.having(CloudRemarks((_unpaired(paired),)))
@@ -125,7 +128,7 @@ def neighbours_of(sweep: Sweep, options: RingsOptions) -> dict[Side, Neighbours]
     """Return the neighbours of each return on all four sides."""
     max_gap_deg = float(np.degrees(neighbour_gap(sweep.gaps(), np.radians(options.max_gap_deg))))
     left, right = along_ring(sweep, max_gap_deg)
-    upper, lower = (across_rings(sweep, s, 0.5 * max_gap_deg, options.max_step_deg) for s in (-1, 1))
+    upper, lower = (across_rings(sweep, s, 0.5 * max_gap_deg, _MAX_STEP_DEG) for s in (-1, 1))
     return {Side.LEFT: left, Side.RIGHT: right, Side.UPPER: upper, Side.BOTTOM: lower}
 
 
@@ -150,12 +153,12 @@ def _sure(sweep: Sweep, neighbours: dict[Side, Neighbours], side: Side, rows: In
     behind, own, r = neighbours[side], neighbours[_OPPOSITE[side]], sweep.range_m
     into_open = r[behind.row[rows]] == FAR_M
     before = own.row[rows]
-    step, least = r[before] - r[rows], options.min_jump_m + options.min_jump_share * r[rows]
+    step, least = r[before] - r[rows], options.min_jump_m + MIN_JUMP_SHARE * r[rows]
     ends = np.abs(step) < 0.5 * least
     if side in (Side.LEFT, Side.RIGHT):
         # Poles are one or two beams wide: the next return may belong to their other outline.
         ends |= step > least
-    return rows[~into_open | (own.known[rows] & ends & (r[rows] < options.open_range_m))]
+    return np.asarray(rows[~into_open | (own.known[rows] & ends & (r[rows] < _OPEN_RANGE_M))])
 
 
 _OPPOSITE = {Side.LEFT: Side.RIGHT, Side.RIGHT: Side.LEFT, Side.UPPER: Side.BOTTOM, Side.BOTTOM: Side.UPPER}
@@ -165,20 +168,17 @@ def jumps_of(sweep: Sweep, neighbours: dict[Side, Neighbours], side: Side, optio
     """Return the rows whose neighbour on `side` is farther away by a step that no single surface explains."""
     behind, own, r = neighbours[side], neighbours[_OPPOSITE[side]], sweep.range_m
     jump = r[behind.row] - r
-    rows = np.flatnonzero(behind.known & (jump > options.min_jump_m + options.min_jump_share * r))
+    rows = np.flatnonzero(behind.known & (jump > options.min_jump_m + MIN_JUMP_SHARE * r))
     jump, back, near = jump[rows], behind.row[rows], r[rows]
-    if options.slant_ratio > 0:
-        # On a plane the inverse range is linear in the angle (to second order): extrapolate it beyond the edge.
-        inverse = 1 / near.astype(np.float64)
-        before = 1 / r[own.row[rows]]
-        inverse += (inverse - before) * behind.gap[rows] / np.maximum(own.gap[rows], 1e-6)
-        predicted = np.where(inverse > 1e-6, 1 / np.maximum(inverse, 1e-6), 1e6) - near
-        keep = ~own.known[rows] | (jump > options.slant_ratio * predicted)
-        rows, jump, back = rows[keep], jump[keep], back[keep]
-    if options.grazing_share > 0:
-        fall = np.where(behind.known[back], r[behind.row[back]] - r[back], 0)
-        rows = rows[fall <= options.grazing_share * jump]
-    return rows
+    # On a plane the inverse range is linear in the angle (to second order): extrapolate it beyond the edge.
+    inverse = 1 / near.astype(np.float64)
+    before = 1 / r[own.row[rows]]
+    inverse += (inverse - before) * behind.gap[rows] / np.maximum(own.gap[rows], 1e-6)
+    predicted = np.where(inverse > 1e-6, 1 / np.maximum(inverse, 1e-6), 1e6) - near
+    keep = ~own.known[rows] | (jump > SLANT_RATIO * predicted)
+    rows, jump, back = rows[keep], jump[keep], back[keep]
+    fall = np.where(behind.known[back], r[behind.row[back]] - r[back], 0)
+    return rows[fall <= GRAZING_SHARE * jump]
 
 
 def outline(

@@ -89,12 +89,11 @@ def in_front(seen: Scattered, near: Around, min_jump_m: float, min_jump_share: f
 
 def kept(seen: Scattered, near: Around, keep: Bool) -> tuple[Scattered, Around]:
     """Return the returns of a mask (N,), and their neighbours; the others count as missing."""
-    columns = (seen.point, seen.range_m, seen.flat_m, seen.azimuth, seen.elevation)
     row = near.row[keep]
     away = np.where(keep[row], near.away[keep], np.float32(np.inf))
     number = np.where(keep, np.cumsum(keep) - 1, 0)
-    left = Scattered(seen.cloud, *(column[keep] for column in columns), seen.spacing)
-    return left, Around(number[row], near.right[keep], near.up[keep], away)
+    own = {name: getattr(seen, name)[keep] for name in ("point", "range_m", "flat_m", "azimuth", "elevation")}
+    return replace(seen, **own), Around(number[row], near.right[keep], near.up[keep], away)
 
 
 def neighbour(seen: Scattered, near: Around, side: Side, max_spacings: float) -> Neighbours:
@@ -148,7 +147,8 @@ def _around(seen: Scattered, rows: Int, count: int, spacing: Float) -> Around:
     cylinder = (np.cos(seen.azimuth) / across, np.sin(seen.azimuth) / across, seen.elevation / up)
     place = np.column_stack(cylinder).astype(np.float64)
     # Query one more neighbour than exists, so that shapes are equal for few returns: its distance is infinite.
-    distance, row = cKDTree(place, balanced_tree=False, compact_nodes=False).query(place[rows], k=count + 1)
+    tree = cKDTree(place, balanced_tree=False, compact_nodes=False)
+    distance, row = map(np.asarray, tree.query(place[rows], k=count + 1))
     mine = row == rows[:, None]
     # The first neighbour is the return itself, unless others have exactly the same position.
     mine[:, -1] |= ~mine.any(axis=1)
@@ -182,4 +182,4 @@ def _spacing(seen: Scattered) -> Float:
     across, up = steps
     across = up if np.isnan(across) else across
     up = across if np.isnan(up) else up
-    return np.maximum(np.nan_to_num([across, up], nan=np.radians(1.0)), _FINEST)
+    return np.asarray(np.maximum(np.nan_to_num([across, up], nan=np.radians(1.0)), _FINEST))

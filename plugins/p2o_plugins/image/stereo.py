@@ -18,13 +18,15 @@ INFINITY = (0.0, 0.0, 0.0)
 """The plane of disparity 0."""
 
 
+_BLOCK_PX = 3  # window of the matcher in pixels, odd
+
+
 class StereoOptions(Options):
     """Criteria for an occlusion edge in the disparity of a rectified pair."""
 
     max_disparity_px: int = field(
         128, ge=16, le=512, help="Largest disparity searched, rounded up to a multiple of 16."
     )
-    block_px: int = field(3, ge=1, le=11, help="Window of the matcher in pixels, made odd by rounding up.")
     min_jump_px: float = field(2.0, gt=0, help="Smallest disparity step from background to foreground, in pixels.")
     min_jump_ratio: float = field(
         0.12, ge=0, lt=1, help="Smallest such step as a fraction of the foreground disparity."
@@ -45,7 +47,7 @@ def silhouettes(left: UInt8, right: UInt8, baseline_m: float, options: StereoOpt
         nothing = Silhouettes(np.zeros((0, 2)), np.zeros(0), np.zeros((0, 13)))
         return dict.fromkeys(SIDES, nothing)
     count = -(-options.max_disparity_px // 16) * 16
-    left_view, right_view = both_views(left, right, count, options.block_px | 1)
+    left_view, right_view = both_views(left, right, count, _BLOCK_PX)
     by_side = {}
     for side in SIDES:
         view, towards = (right_view, (1, 0)) if side is Side.LEFT else (left_view, side.background)

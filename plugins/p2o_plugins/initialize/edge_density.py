@@ -6,10 +6,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from p2o import Bool, Camera, Float, Int, Side, View, se3
+from numpy.typing import NDArray
+from p2o import Bool, Camera, Float, Int, Int8, Side, View, se3
 from p2o.solving import ipp_disabled
 
-Float32 = np.ndarray
+Float32 = NDArray[np.float32]
 
 _FOCAL_PX, _MOST_PX, _WIDEST_TAN = 720.0, 1300.0, 1.7
 """Focal length of the pinhole model of every camera (smaller if the image exceeded N pixels), up to 60 degrees off
@@ -36,7 +37,7 @@ class _Maps:
 
     focal_px: float
     centre: tuple[float, float]
-    sides: Int
+    sides: Int8
     flat: Float32
     slope: Float32
     first: Int
@@ -51,7 +52,7 @@ class _Part:
 
     maps: _Maps
     xyz: Float32
-    side: Int
+    side: Int8
     weight: Float
     sigma_m: Float
     distance_m: Float
@@ -193,8 +194,10 @@ def _maps(view: View) -> _Maps | None:
         slopes.append(slope.ravel())
         shapes.append(padded.shape[1:])
     first = np.cumsum([0, *(len(flat) for flat in flats[:-1])])
-    sizes = np.array(shapes).T
-    return _Maps(focal, centre, sides, np.concatenate(flats), np.concatenate(slopes), first, *sizes, np.array(cells))
+    height, width = np.array(shapes).T
+    return _Maps(
+        focal, centre, sides, np.concatenate(flats), np.concatenate(slopes), first, height, width, np.array(cells)
+    )
 
 
 # Edges without a direction constrain points vertically; horizontally their neighbours at corners do.
@@ -257,7 +260,7 @@ def _score(points: _Points, poses: Float) -> Float:
     return np.asarray(value @ points.weight, dtype=np.float64)
 
 
-def _cells(points: _Points, u: Float32, v: Float32) -> Int:
+def _cells(points: _Points, u: Float32, v: Float32) -> NDArray[np.int32]:
     """Return the indices in the flat maps of positions (B, K) in cells, which are overwritten."""
     u += _TO_CELL
     v += _TO_CELL

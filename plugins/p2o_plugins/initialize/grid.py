@@ -10,7 +10,9 @@ import numpy as np
 from p2o import Float, Initializer, Method, View, field, se3
 from p2o.solving import DirectedCost
 
-from p2o_plugins.initialize.search import MOST_VIEWS, NarrowOptions, coarse_maps, narrow
+from p2o_plugins.initialize.search import MOST_VIEWS, NARROWEST_PX, NarrowOptions, coarse_maps, narrow
+
+_GRID_PX = 40.0  # truncation of the distances on the grid
 
 
 class GridOptions(NarrowOptions):
@@ -19,7 +21,6 @@ class GridOptions(NarrowOptions):
     sigma_deg: float = field(1.0, gt=0, le=60, help="Standard deviation about each axis when a basin is narrowed.")
     max_angle_deg: float = field(12.0, gt=0, le=45, help="Half width of the grid about each axis.")
     step_deg: float = field(1.5, gt=0.05, le=10, help="Step of the grid about each axis (the paper: 1 deg).")
-    grid_px: float = field(40.0, gt=1, le=500, help="Truncation of the distances on the grid.")
     grid_points: int = field(1500, ge=50, help="LiDAR edge points used on the grid, evenly thinned over all frames.")
     basins: int = field(5, ge=1, le=50, help="Best separate cells of the grid that are narrowed.")
 
@@ -33,14 +34,13 @@ def build(options: GridOptions) -> Initializer:
         # rotation.
         margin = max(view.camera.focal_px for view in views) * np.tan(np.radians(options.max_angle_deg))
         cost = partial(DirectedCost.of, views, camera_from_lidar, margin_px=float(margin), max_views=MOST_VIEWS)
-        scale = max(1, int(options.grid_px // 10))
-        coarse = cost(options.grid_px, scale=scale, max_points=options.grid_points)
+        coarse = cost(_GRID_PX, scale=4, max_points=options.grid_points)
         if not coarse.points:
             return [camera_from_lidar]
         starts = [se3.exp(t) @ camera_from_lidar for t in _basins(coarse, camera_from_lidar, options)]
         known: dict[tuple[object, ...], Any] = {}
-        narrowed = [narrow(coarse_maps(views, s, options, known), s, options, rng, options.widest_px) for s in starts]
-        judge = cost(options.narrowest_px, max_points=options.max_points)
+        narrowed = [narrow(coarse_maps(views, s, options, known), s, options, rng) for s in starts]
+        judge = cost(NARROWEST_PX, max_points=options.max_points)
         order = np.argsort(judge(np.stack(narrowed)), kind="stable")
         return [narrowed[i] for i in order]
 

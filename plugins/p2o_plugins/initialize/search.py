@@ -16,14 +16,17 @@ class NarrowOptions(Options):
     """Options of the refinement of a population of poses; shared with `grid`."""
 
     population: int = field(400, ge=20, le=100_000, help="Poses evaluated in each generation.")
-    generations: int = field(12, ge=1, le=200, help="Number of generations.")
-    elite: float = field(0.1, gt=0, lt=1, help="Share of the population that shapes the next generation.")
     sigma_deg: float = field(2.0, gt=0, le=60, help="Standard deviation of the first generation about each axis.")
     sigma_m: float = field(0.1, ge=0, le=5, help="Standard deviation of the first generation along each axis.")
-    widest_px: float = field(40.0, gt=1, le=500, help="Truncation of the distances in the first generation.")
-    narrowest_px: float = field(8.0, gt=1, le=500, help="Truncation of the distances in the last generation.")
     max_points: int = field(4000, ge=50, help="LiDAR edge points used, evenly thinned over all frames.")
     seed: int = field(0, ge=0, help="Seed of the random generator.")
+
+
+_GENERATIONS = 12  # number of generations
+_ELITE = 0.1  # share of the population that shapes the next generation
+_WIDEST_PX = 40.0  # truncation of the distances in the first generation
+NARROWEST_PX = 8.0  # truncation of the distances in the last generation
+_FINEST_PX = 4.0  # truncation of the distances at which basins end and are ranked
 
 
 class SearchOptions(NarrowOptions):
@@ -36,7 +39,6 @@ class SearchOptions(NarrowOptions):
     )
     scatter: int = field(3000, ge=100, le=1_000_000, help="Poses drawn around the start, to find further basins.")
     basins: int = field(12, ge=1, le=1000, help="Number of them, the best and separate, that are narrowed.")
-    finest_px: float = field(4.0, gt=1, le=500, help="Truncation of the distances at which basins end and are ranked.")
     proposals: int = field(3, ge=1, le=100, help="Best basins that are handed on.")
 
 
@@ -53,7 +55,7 @@ MOST_VIEWS = 64
 class Search(InitializerBase):
     """Return the poses to which several searches converge, best first, then the given one.
 
-    One search starts with distances truncated at `widest_px`: it handles large initial errors but is misled by clutter,
+    One search starts with distances truncated at 40 px: it handles large initial errors but is misled by clutter,
     whose edges are within that distance of any point. With a truncation of a few pixels the cost has its minimum at the
     true pose far more often, but only for small errors: many poses are sampled around the initial guess, and the best
     distinct ones start separate searches with narrow truncations. The scorer of the pipeline selects among the basins.
@@ -66,12 +68,12 @@ class Search(InitializerBase):
         options = self.options
         rng = np.random.default_rng(options.seed)
         maps = coarse_maps(views, camera_from_lidar, options)
-        near = maps[_scale(options.narrowest_px)]
+        near = maps[_scale(NARROWEST_PX)]
         if not near.points:
             return [camera_from_lidar]
-        poses = [narrow(maps, camera_from_lidar, options, rng, options.widest_px, options.prior)]
+        poses = [narrow(maps, camera_from_lidar, options, rng, options.prior)]
         poses += _scattered(near, camera_from_lidar, options, rng)
-        order = np.argsort(near.truncated(options.finest_px)(np.stack(poses)), kind="stable")
+        order = np.argsort(near.truncated(_FINEST_PX)(np.stack(poses)), kind="stable")
         apart: list[Float] = []
         for pose in (poses[i] for i in order):
             if all(se3.angle_deg(pose @ se3.inverse(other)) > _SEPARATE_DEG for other in apart):
@@ -91,18 +93,19 @@ def build(options: SearchOptions) -> Initializer:
 
 def _scattered(maps: DirectedCost, start: Float, options: SearchOptions, rng: np.random.Generator) -> list[Float]:
     """Return the poses to which narrow searches converge from the best of many poses sampled around `start`."""
-    unit, coarse = _unit(options), maps.truncated(options.narrowest_px)
+    unit, coarse = _unit(options), maps.truncated(NARROWEST_PX)
     draws = rng.standard_normal((options.scatter, 6))
     draws[0] = 0.0
     parts = np.array_split(draws, -(-len(draws) // _DRAWS_AT_ONCE))
     values = np.concatenate([_value(coarse, part, unit, start, options.prior) for part in parts])
-    rest, chosen = np.argsort(values, kind="stable"), []
+    rest = np.argsort(values, kind="stable")
+    chosen: list[int] = []
     while len(rest) and len(chosen) < options.basins:
-        chosen.append(rest[0])
+        chosen.append(int(rest[0]))
         turned_away = np.linalg.norm(draws[rest, :3] - draws[rest[0], :3], axis=1)
         rest = rest[turned_away > _SEPARATE_SIGMA]
-    widths = np.geomspace(options.narrowest_px, min(options.finest_px, options.narrowest_px), _BASIN_GENERATIONS)
-    costs, keep = [maps.truncated(float(width)) for width in widths], _kept(options.elite, _BASIN_POPULATION)
+    widths = np.geomspace(NARROWEST_PX, _FINEST_PX, _BASIN_GENERATIONS)
+    costs, keep = [maps.truncated(float(width)) for width in widths], _kept(_BASIN_POPULATION)
     # The result equals refining one basin after the other; all basins share each step, which needs fewer calls.
     normals = np.moveaxis(rng.standard_normal((len(chosen), len(costs), _BASIN_POPULATION, 6)), 1, 0)
     return list(_narrowed(costs, normals, start, unit, draws[chosen], _BASIN_SPREAD, keep, options.prior))
@@ -114,20 +117,20 @@ def coarse_maps(
     options: NarrowOptions,
     known: dict[tuple[object, ...], Any] | None = None,
 ) -> dict[int, DirectedCost]:
-    """Return the directed cost at `widest_px` for every scale of maps that the refinement needs, by scale.
+    """Return the directed cost at `_WIDEST_PX` for every scale of maps that the refinement needs, by scale.
 
     `known` caches the maps for the same views around another pose.
     """
-    widest = _scale(options.widest_px)
-    scales = sorted({_scale(options.narrowest_px), *(2**n for n in range(8) if 2**n < widest), widest})
+    widest = _scale(_WIDEST_PX)
+    scales = sorted({_scale(NARROWEST_PX), *(2**n for n in range(8) if 2**n < widest), widest})
     limits = {"max_points": options.max_points, "max_views": MOST_VIEWS}
-    cost = partial(DirectedCost.of, views, around, options.widest_px, smooth=False, known=known, **limits)
+    cost = partial(DirectedCost.of, views, around, _WIDEST_PX, smooth=False, known=known, **limits)
     return {scale: cost(scale=scale) for scale in scales}
 
 
 def _scale(width_px: float) -> int:
     """Return the size in pixels of a cell of the maps: a power of two up to a tenth of the truncation."""
-    return 2 ** int(np.log2(max(1.0, width_px / 10)))
+    return 1 << int(np.log2(max(1.0, width_px / 10)))
 
 
 def narrow(
@@ -135,23 +138,22 @@ def narrow(
     start: Float,
     options: NarrowOptions,
     rng: np.random.Generator,
-    widest_px: float,
     prior: float = 0.0,
 ) -> Float:
     """Return the pose (4, 4) to which a cross-entropy search around `start` converges.
 
     The tangent vector of a left update (rotation about the camera centre, then translation) is drawn from a Gaussian
     whose mean and covariance follow the best fraction of each generation, while the truncation of the distances
-    decreases from `widest_px` to the option `narrowest_px`. `maps` are those of `coarse_maps`. With few informative
+    decreases from `_WIDEST_PX` to `NARROWEST_PX`. `maps` are those of `coarse_maps`. With few informative
     edges the minimum of the cost is arbitrary: a `prior` of N missed edges per squared deviation then keeps the pose
     near the initial guess.
     """
-    widths = [float(w) for w in np.geomspace(widest_px, min(options.narrowest_px, widest_px), 4)]
+    widths = [float(w) for w in np.geomspace(_WIDEST_PX, NARROWEST_PX, 4)]
     costs = [maps[_scale(width)].truncated(width) for width in widths]
     if not costs[0].points:
         return start
-    costs = [costs[min(3, generation * 4 // options.generations)] for generation in range(options.generations)]
-    keep = _kept(options.elite, options.population)
+    costs = [costs[min(3, generation * 4 // _GENERATIONS)] for generation in range(_GENERATIONS)]
+    keep = _kept(options.population)
     normals = (rng.standard_normal((1, options.population, 6)) for _ in costs)
     (end,) = _narrowed(costs, normals, start, _unit(options), np.zeros((1, 6)), 1.0, keep, prior)
     return np.asarray(end)
@@ -193,14 +195,14 @@ def _unit(options: NarrowOptions) -> Float:
     return np.concatenate([np.full(3, np.radians(options.sigma_deg)), np.full(3, max(options.sigma_m, 1e-9))])
 
 
-def _kept(elite: float, population: int) -> int:
-    return max(8, int(elite * population))
+def _kept(population: int) -> int:
+    return max(8, int(_ELITE * population))
 
 
 def _value(cost: DirectedCost, draws: Float, unit: Float, start: Float, prior: float) -> Float:
     """Return the cost (N,) of tangents (N, 6) in units of `unit`, plus the prior on their distance from the start."""
     missed = prior / cost.points * cost.truncate_px
-    return cost(se3.exp(draws * unit) @ start) + missed * np.square(draws).sum(axis=1)
+    return np.asarray(cost(se3.exp(draws * unit) @ start) + missed * np.square(draws).sum(axis=1))
 
 
 METHOD = Method(

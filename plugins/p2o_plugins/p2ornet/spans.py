@@ -93,7 +93,7 @@ def lidar_spans(cloud: Cloud, camera: Camera, camera_from_lidar: Float, *, speed
         for side in (Side.RIGHT, Side.BOTTOM)
     ]
     beam = neighbours[Side.LEFT].median_gap
-    plane = ground_plane(sweep, options.seed)
+    plane = ground_plane(sweep)
     for side in neighbours:
         rows = jumps_of(sweep, neighbours, side, options)
         rows = rows[seen[rows]]

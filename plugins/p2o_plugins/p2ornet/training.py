@@ -185,10 +185,11 @@ def _loss(network: P2ORNet, crops: Sequence[Crop], options: TrainingOptions, dev
         for module in network.encoder.modules():
             if isinstance(module, nn.BatchNorm2d):
                 module.eval()
-    rgb, *labels = collated(crops, device)
+    rgb, classes, bags, bag_class, bag_weight = collated(crops, device)
     with torch.autocast(device.type, torch.bfloat16, enabled=_bfloat16(options, device)):
         logits = network(rgb)
-    return order_loss(logits[:, :2], *labels, *weights_of(options)) / len(crops)
+    loss = order_loss(logits[:, :2], classes, bags, bag_class, bag_weight, *weights_of(options))
+    return loss / len(crops)
 
 
 def _frozen(options: TrainingOptions) -> bool:
@@ -214,8 +215,9 @@ def validate(network: P2ORNet, examples: Sequence[Example], options: TrainingOpt
     with torch.inference_mode(), torch.autocast(device.type, torch.bfloat16, enabled=_bfloat16(options, device)):
         for example in examples:
             whole = crop(example, (example.rgb.shape[0], example.rgb.shape[1]), still, np.random.default_rng(0))
-            rgb, *labels = collated([whole], device)
-            total += float(order_loss(network(rgb)[:, :2], *labels, *weights_of(options)))
+            rgb, classes, bags, bag_class, bag_weight = collated([whole], device)
+            logits = network(rgb)[:, :2]
+            total += float(order_loss(logits, classes, bags, bag_class, bag_weight, *weights_of(options)))
     return total / len(examples)
 
 

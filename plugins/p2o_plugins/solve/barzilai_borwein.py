@@ -2,7 +2,7 @@
 
 The step along the gradient g is gamma = (s.s) / (s.y), with s the last change of the unknowns and y that of the
 gradient. Unlike the original, the unknowns are in units (degrees against metres) in one vector, a step is limited to
-`longest` units, a step that increases the cost is rejected and halved, and a negative gamma (negative curvature) is
+`_LONGEST` units, a step that increases the cost is rejected and halved, and a negative gamma (negative curvature) is
 replaced by twice the last one. Public third-party code steps rotation and translation alternately.
 
 Costs of projected points are rough: their derivative at a point leads to the next of many minima. Descents with
@@ -12,6 +12,7 @@ derivatives by differences over the steps of `schedule`, from coarse to fine, pr
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -19,24 +20,26 @@ import p2o
 from p2o import Float
 from pydantic import Field
 
-from p2o_plugins.solve.scalar_cost import ScalarCost, StepOptions, scalar_solver
+from p2o_plugins.solve.scalar_cost import ScalarCost, scalar_solver
 
 Positive = Annotated[float, Field(gt=0, le=100)]
 
 
-class BarzilaiBorweinOptions(StepOptions):
+_UNIT_DEG = 0.5  # rotation equivalent to `_UNIT_M`
+_UNIT_M = 0.03  # translation equivalent to `_UNIT_DEG`
+_FIRST = 0.25  # length of the first step, in units
+_LONGEST = 1.0  # largest length of a step, in units
+
+
+class BarzilaiBorweinOptions(p2o.Options):
     """Options of `barzilai-borwein`."""
 
-    unit_deg: float = p2o.field(0.5, gt=0, le=90, help="Rotation equivalent to `unit_m`.")
-    unit_m: float = p2o.field(0.03, gt=0, le=100, help="Translation equivalent to `unit_deg`.")
-    first: float = p2o.field(0.25, gt=0, help="Length of the first step, in units.")
     schedule: tuple[tuple[Positive, Positive], ...] = p2o.field(
         ((1.0, 0.1), (0.5, 0.05), (0.25, 0.025)),
         max_length=20,
         help="Steps [[deg, m], ...] of derivatives by differences, with each of which a descent is made before that "
         "with the gradient; [] for none.",
     )
-    longest: float = p2o.field(1.0, gt=0, help="Largest length of a step, in units.")
     box_deg: float = p2o.field(0.0, ge=0, le=90, help="Bound of each rotation from the initial pose; 0 for no bound.")
     box_m: float = p2o.field(0.0, ge=0, le=100, help="Bound of each translation from the initial pose; 0 for no bound.")
     max_iterations: int = p2o.field(300, ge=1, help="Largest number of steps of a descent, including rejected ones.")
@@ -45,25 +48,25 @@ class BarzilaiBorweinOptions(StepOptions):
 
 def build(options: BarzilaiBorweinOptions) -> p2o.Solver:
     """Return the solver `(Problem, camera_from_lidar (4, 4)) -> Solution`."""
-    reach = np.repeat([options.box_deg / options.unit_deg, options.box_m / options.unit_m], 3)
+    reach = np.repeat([options.box_deg / _UNIT_DEG, options.box_m / _UNIT_M], 3)
     reach[reach == 0] = np.inf
 
     def minimise(cost: ScalarCost) -> p2o.Solution:
         x, iterations, converged = np.zeros(6), 0, False
         for step in options.schedule:
-            x, spent, _ = descend(cost, x, lambda x, step=step: cost.differences(x, *step))
+            x, spent, _ = descend(cost, x, partial(cost.differences, step_deg=step[0], step_m=step[1]))
             iterations += spent
-        x, spent, converged = descend(cost, x, lambda x: cost.gradient(x, options))
+        x, spent, converged = descend(cost, x, cost.gradient)
         return cost.solution(x, iterations + spent, converged=converged)
 
     def descend(cost: ScalarCost, x: Float, gradient: Callable[[Float], Float]) -> tuple[Float, int, bool]:
         """Return where a descent from x (6,) ends, the number of its steps, and whether it converged."""
         lowest, slope = cost.one(x), gradient(x)
-        gamma = options.first / max(float(np.linalg.norm(slope)), np.finfo(float).tiny)
+        gamma = _FIRST / max(float(np.linalg.norm(slope)), np.finfo(float).tiny)
         for iteration in range(1, options.max_iterations + 1):
             step = -gamma * slope
             length = float(np.linalg.norm(step))
-            step *= min(1.0, options.longest / max(length, np.finfo(float).tiny))
+            step *= min(1.0, _LONGEST / max(length, np.finfo(float).tiny))
             trial = np.clip(x + step, -reach, reach)
             step = trial - x
             if np.linalg.norm(step) < options.tolerance:
@@ -78,7 +81,7 @@ def build(options: BarzilaiBorweinOptions) -> p2o.Solver:
             x, lowest, slope = trial, trial_cost, ahead
         return x, options.max_iterations, False
 
-    return scalar_solver(minimise, options.unit_deg, options.unit_m)
+    return scalar_solver(minimise, _UNIT_DEG, _UNIT_M)
 
 
 METHOD = p2o.Method(

@@ -12,18 +12,18 @@ import numpy as np
 import p2o
 from p2o import Float
 
-from p2o_plugins.solve.scalar_cost import ScalarCost, StepOptions, scalar_solver
+from p2o_plugins.solve.scalar_cost import ScalarCost, scalar_solver
 
 _HIGHEST = 1e3  # the scaled cost of poses without one, from which the line search can interpolate
+_UNIT_DEG = 0.5  # rotation equivalent to `_UNIT_M` in the first step
+_UNIT_M = 0.02  # translation equivalent to `_UNIT_DEG` in the first step
 
 
-class BfgsOptions(StepOptions):
+class BfgsOptions(p2o.Options):
     """Options of `bfgs`."""
 
     box_deg: float = p2o.field(2.0, ge=0, le=90, help="Bound of each rotation from the initial pose; 0 for no bound.")
     box_m: float = p2o.field(0.2, ge=0, le=100, help="Bound of each translation from the initial pose; 0 for no bound.")
-    unit_deg: float = p2o.field(0.5, gt=0, le=90, help="Rotation equivalent to `unit_m` in the first step.")
-    unit_m: float = p2o.field(0.02, gt=0, le=100, help="Translation equivalent to `unit_deg` in the first step.")
     max_iterations: int = p2o.field(100, ge=1, help="Largest number of steps over all restarts.")
     restarts: int = p2o.field(1, ge=0, help="Restarts without the previous curvature, as long as they lower the cost.")
     tolerance: float = p2o.field(
@@ -38,7 +38,7 @@ def build(options: BfgsOptions) -> p2o.Solver:
     # Imported here: every run lists this method, few use it.
     from scipy.optimize import minimize
 
-    reach = np.repeat([options.box_deg / options.unit_deg, options.box_m / options.unit_m], 3)
+    reach = np.repeat([options.box_deg / _UNIT_DEG, options.box_m / _UNIT_M], 3)
     reach[reach == 0] = np.inf
 
     def minimise(cost: ScalarCost) -> p2o.Solution:
@@ -60,7 +60,7 @@ def build(options: BfgsOptions) -> p2o.Solver:
         The first step of L-BFGS-B in a box is the gradient, and its tolerance is absolute for costs below one. Costs
         are scaled so that the gradient is one: the first step is one unit, and the tolerance a share of its gain.
         """
-        lowest, slope = cost.one(begin), cost.gradient(begin, options)
+        lowest, slope = cost.one(begin), cost.gradient(begin)
         scale = float(np.linalg.norm(slope[np.sign(slope) * begin > -reach]))  # without those that lead out of the box
         if not scale:
             return begin, 0, 0.0
@@ -68,17 +68,18 @@ def build(options: BfgsOptions) -> p2o.Solver:
         def scaled(x: Float) -> float:
             return min((cost.one(x) - lowest) / scale, _HIGHEST)
 
-        fit: Any = minimize(
+        search: Any = minimize  # its types know no method with a gradient of its own
+        fit = search(
             scaled,
             begin,
-            jac=lambda x: cost.gradient(x, options) / scale,
+            jac=lambda x: cost.gradient(x) / scale,
             method="L-BFGS-B",
             bounds=[(-r, r) for r in reach],
             options={"maxiter": most, "ftol": options.tolerance, "gtol": 1e-12},
         )
         return fit.x, int(fit.nit), -scaled(fit.x)
 
-    return scalar_solver(minimise, options.unit_deg, options.unit_m)
+    return scalar_solver(minimise, _UNIT_DEG, _UNIT_M)
 
 
 METHOD = p2o.Method(

@@ -14,6 +14,8 @@ import p2o
 from p2o import Float, solving
 from p2o.solving import Problem, checked_solution, import_keeping_signals, linearise, pose_from_chart, require_residuals
 
+from p2o_plugins.solve.lm import MAX_CONDITION
+
 
 class CeresOptions(p2o.Options):
     """Options of `ceres`."""
@@ -21,9 +23,6 @@ class CeresOptions(p2o.Options):
     max_iterations: int = p2o.field(100, ge=1, help="Largest number of steps (max_num_iterations of Ceres).")
     tolerance: float = p2o.field(
         1e-12, gt=0, help="Relative change of cost or unknowns at which to stop (function and parameter tolerance)."
-    )
-    max_condition: float = p2o.field(
-        1e5, gt=1, help="Condition number of the scaled Hessian above which a direction is unobservable."
     )
 
 
@@ -55,7 +54,7 @@ def build(options: CeresOptions) -> p2o.Solver:
         start = np.asarray(camera_from_lidar, dtype=np.float64)
         delta = np.zeros(6)
         if not pairs.weight.any():
-            return checked_solution(pairs, start, start, 0, p2o.SolverStatus.CONVERGED, options.max_condition)
+            return checked_solution(pairs, start, start, 0, p2o.SolverStatus.CONVERGED, MAX_CONDITION)
         # Python must keep the block alive, since Ceres holds a plain pointer to it.
         block, ceres_problem = Pairs(pairs, start), pyceres.Problem()
         ceres_problem.add_residual_block(block, None, [delta])
@@ -70,7 +69,7 @@ def build(options: CeresOptions) -> p2o.Solver:
         converged = summary.termination_type == pyceres.TerminationType.CONVERGENCE
         status = p2o.SolverStatus.CONVERGED if converged else p2o.SolverStatus.ITERATIONS_SPENT
         pose, steps = pose_from_chart(start, delta), int(summary.num_successful_steps + summary.num_unsuccessful_steps)
-        return checked_solution(pairs, start, pose, steps, status, options.max_condition)
+        return checked_solution(pairs, start, pose, steps, status, MAX_CONDITION)
 
     return solve
 

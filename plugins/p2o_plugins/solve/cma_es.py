@@ -9,15 +9,14 @@ import p2o
 
 from p2o_plugins.solve.scalar_cost import ScalarCost, scalar_solver
 
+_SIGMA = 0.3  # initial standard deviation of the population, as a share of the box
+
 
 class CmaEsOptions(p2o.Options):
     """Options of `cma-es`."""
 
     box_deg: float = p2o.field(3.0, gt=0, le=90, help="Search range of each rotation around the initial pose.")
     box_m: float = p2o.field(0.3, gt=0, le=100, help="Search range of each translation around the initial pose.")
-    sigma: float = p2o.field(
-        0.3, gt=0, le=1, help="Initial standard deviation of the population, as a share of the box."
-    )
     population: int = p2o.field(24, ge=4, le=10_000, help="Candidates per generation.")
     generations: int = p2o.field(150, ge=1, help="Largest number of generations.")
     tolerance: float = p2o.field(1e-4, gt=0, help="Stop at this width of the population, as a share of the box.")
@@ -44,7 +43,7 @@ def build(options: CmaEsOptions) -> p2o.Solver:
             "verb_log": 0,
             "verb_disp": 0,
         }
-        search: Any = cma.CMAEvolutionStrategy(np.zeros(6), options.sigma, settings)
+        search: Any = cma.CMAEvolutionStrategy(np.zeros(6), _SIGMA, settings)
         best, lowest = np.zeros(6), cost.one(np.zeros(6))
         while not search.stop():
             asked = np.asarray(search.ask())

@@ -12,16 +12,15 @@ import p2o
 
 from p2o_plugins.solve.scalar_cost import ScalarCost, scalar_solver
 
+_SHRINK = 0.6  # factor on the step of an axis if neither direction is better
+_GROW = 1.3  # factor on the step of an axis if one direction is better, up to the first step
+
 
 class CoordinateOptions(p2o.Options):
     """Options of `coordinate`."""
 
     step_deg: float = p2o.field(0.2, gt=0, le=30, help="First step of the three rotations.")
     step_m: float = p2o.field(0.02, gt=0, le=10, help="First step of the three translations.")
-    shrink: float = p2o.field(0.6, gt=0, lt=1, help="Factor on the step of an axis if neither direction is better.")
-    grow: float = p2o.field(
-        1.3, ge=1, le=4, help="Factor on the step of an axis if one direction is better, up to the first step."
-    )
     tolerance: float = p2o.field(4e-3, gt=0, lt=1, help="Stop if all steps are below this share of the first ones.")
     max_sweeps: int = p2o.field(300, ge=1, help="Largest number of passes over all axes.")
 
@@ -41,7 +40,7 @@ def build(options: CoordinateOptions) -> p2o.Solver:
                 better = costs[best] < least
                 if better:
                     here, least = both[best], float(costs[best])
-                steps[axis] = min(steps[axis] * options.grow, 1.0) if better else steps[axis] * options.shrink
+                steps[axis] = min(steps[axis] * _GROW, 1.0) if better else steps[axis] * _SHRINK
             if (here != before).any():
                 # Evaluate several step lengths along the same direction in one call.
                 ahead = here + np.outer((1.0, 3.0, 9.0), here - before)

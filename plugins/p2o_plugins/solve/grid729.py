@@ -19,6 +19,7 @@ from p2o_plugins.solve.scalar_cost import ended, unsolvable
 
 NEIGHBOURS = np.array(list(product((-1.0, 0.0, 1.0), repeat=6)))
 """The changes (729, 6) in steps; number 364, the middle one, is zero."""
+_SHRINK = 0.5  # factor on the steps if no neighbour is better
 
 
 class Grid729Options(p2o.Options):
@@ -26,7 +27,6 @@ class Grid729Options(p2o.Options):
 
     step_deg: float = p2o.field(0.25, gt=0, le=30, help="First step of the three rotations.")
     step_m: float = p2o.field(0.025, gt=0, le=10, help="First step of the three translations.")
-    shrink: float = p2o.field(0.5, gt=0, lt=1, help="Factor on the steps if no neighbour is better.")
     levels: int = p2o.field(6, ge=1, le=30, help="Number of step sizes.")
     max_moves: int = p2o.field(60, ge=1, help="Largest number of moves over all step sizes.")
 
@@ -43,7 +43,7 @@ def build(options: Grid729Options) -> p2o.Solver:
             return refused
         moves, looks = 0, 0
         for level in range(options.levels):
-            steps = NEIGHBOURS * (first * options.shrink**level)
+            steps = NEIGHBOURS * (first * _SHRINK**level)
             while moves < options.max_moves:
                 around = pose_from_chart(pose, steps)
                 costs = np.asarray(problem.cost(around), np.float64)

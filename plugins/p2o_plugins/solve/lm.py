@@ -9,6 +9,8 @@ from p2o.solving import LeastSquares, Problem, checked_solution, linearise, norm
 
 LONGEST_STEP = 100.0
 """Longer steps, in radians or metres, are rejected without evaluation: the system is nearly singular."""
+_FIRST_DAMPING = 1e-4  # damping of the first step, relative to the Hessian's diagonal
+MAX_CONDITION = 1e5  # condition number of the scaled Hessian above which a direction is unobservable
 
 
 class LmOptions(p2o.Options):
@@ -16,10 +18,6 @@ class LmOptions(p2o.Options):
 
     max_iterations: int = p2o.field(100, ge=1, help="Largest number of steps, including rejected ones.")
     tolerance: float = p2o.field(1e-10, gt=0, help="Stop if a step is smaller than this in radians and metres.")
-    first_damping: float = p2o.field(1e-4, gt=0, help="Damping of the first step, relative to the Hessian's diagonal.")
-    max_condition: float = p2o.field(
-        1e5, gt=1, help="Condition number of the scaled Hessian above which a direction is unobservable."
-    )
 
 
 def build(options: LmOptions) -> p2o.Solver:
@@ -29,7 +27,7 @@ def build(options: LmOptions) -> p2o.Solver:
         problem = require_residuals(problem, "lm")
         start = np.asarray(camera_from_lidar, dtype=np.float64)
         pose, iterations, status = minimise(problem, start, options)
-        return checked_solution(problem, start, pose, iterations, status, options.max_condition)
+        return checked_solution(problem, start, pose, iterations, status, MAX_CONDITION)
 
     return solve
 
@@ -41,7 +39,7 @@ def minimise(problem: LeastSquares, start: Float, options: LmOptions) -> tuple[F
     Once a step moves the pairs by less than the Huber kernel, the exact curvature replaces the bounding one, until such
     a step is rejected.
     """
-    pose, damping, growth = start, options.first_damping, 2.0
+    pose, damping, growth = start, _FIRST_DAMPING, 2.0
     newton, newton_trusted = False, True
     residuals, jacobian = linearise(problem, pose)
     cost = float(problem.loss(residuals))
@@ -50,7 +48,7 @@ def minimise(problem: LeastSquares, start: Float, options: LmOptions) -> tuple[F
     for iteration in range(1, options.max_iterations + 1):
         diagonal = _scale(hessian)
         try:
-            step = -np.linalg.solve(hessian + np.diag(damping * diagonal), gradient)
+            step: Float = np.asarray(-np.linalg.solve(hessian + np.diag(damping * diagonal), gradient))
         except np.linalg.LinAlgError:
             # No residual depends on the pose; `checked_solution` reports the unobservable directions.
             return pose, iteration, p2o.SolverStatus.CONVERGED

@@ -14,6 +14,11 @@ from p2o.solving import swarmed
 
 from p2o_plugins.solve.scalar_cost import ScalarCost, scalar_solver
 
+_SHRINK = 0.3  # factor on the size from box to box
+_INERTIA = 0.72  # share of its velocity that a particle keeps
+_ATTRACTION = 1.49  # attraction to the best position of a particle, and to that of all
+_COLLAPSED = 0.01  # stop a swarm at this width, as a share of its box
+
 
 class ParticleSwarmOptions(p2o.Options):
     """Options of `particle-swarm`."""
@@ -25,12 +30,6 @@ class ParticleSwarmOptions(p2o.Options):
     boxes: int = p2o.field(
         3, ge=1, le=20, help="Boxes that are searched in sequence, each around the best pose so far."
     )
-    shrink: float = p2o.field(0.3, gt=0, lt=1, help="Factor on the size from box to box.")
-    inertia: float = p2o.field(0.72, ge=0, lt=1, help="Share of its velocity that a particle keeps.")
-    attraction: float = p2o.field(
-        1.49, gt=0, le=4, help="Attraction to the best position of a particle, and to that of all."
-    )
-    collapsed: float = p2o.field(0.01, ge=0, lt=1, help="Stop a swarm at this width, as a share of its box.")
     seed: int = p2o.field(0, ge=0, help="Random seed.")
 
 
@@ -41,7 +40,7 @@ def build(options: ParticleSwarmOptions) -> p2o.Solver:
         rng = np.random.default_rng(options.seed)
         best, moves = np.zeros(6), 0
         for number in range(options.boxes):
-            size = options.shrink**number
+            size = _SHRINK**number
             # The box never leaves the first one, which is from -1 to 1 in every unknown.
             best, _, moved = swarmed(
                 cost.many,
@@ -51,9 +50,9 @@ def build(options: ParticleSwarmOptions) -> p2o.Solver:
                 first=best,
                 particles=options.particles,
                 moves=options.iterations * (number + 1) // options.boxes - options.iterations * number // options.boxes,
-                inertia=options.inertia,
-                attraction=options.attraction,
-                narrow=options.collapsed * 2 * size,
+                inertia=_INERTIA,
+                attraction=_ATTRACTION,
+                narrow=_COLLAPSED * 2 * size,
             )
             moves += moved
         return cost.solution(best, moves, converged=True)

@@ -16,15 +16,15 @@ import p2o
 from p2o import Float
 from p2o.solving import MIN_PAIRS, PointToLine, Problem, checked_solution, consensus
 
+from p2o_plugins.solve.lm import MAX_CONDITION
+
+_TRIALS = 200  # largest number of sampled triples
+
 
 class PnpOptions(p2o.Options):
     """Options of `pnp`."""
 
     reach_px: float = p2o.field(10.0, gt=0, le=1000, help="Largest residual of an inlier, in pixels.")
-    trials: int = p2o.field(200, ge=1, le=100_000, help="Largest number of sampled triples.")
-    max_condition: float = p2o.field(
-        1e5, gt=1, help="Condition number of the scaled Hessian above which a direction is unobservable."
-    )
     seed: int = p2o.field(0, ge=0, help="Seed of the triples.")
 
 
@@ -42,16 +42,16 @@ def build(options: PnpOptions) -> p2o.Solver:
 
         def refused(reason: str) -> p2o.Solution:
             cost = float(problem.cost(start[None])[0])
-            return p2o.Solution(start, cost, options.trials, p2o.SolverStatus.SINGULAR, None, reason)
+            return p2o.Solution(start, cost, _TRIALS, p2o.SolverStatus.SINGULAR, None, reason)
 
         if count < MIN_PAIRS:
             return refused(f"{count} pairs, at least {MIN_PAIRS} are needed")
-        best = consensus(points, options.reach_px, np.random.default_rng(options.seed), options.trials)
+        best = consensus(points, options.reach_px, np.random.default_rng(options.seed), _TRIALS)
         agree = 0 if best is None else int(best.agree.sum())
         if best is None or agree < MIN_PAIRS:
             return refused(f"{agree} of {count} pairs agree on a pose within {options.reach_px:g} px")
         pairs, pose, status = points.select(best.agree), best.camera_from_lidar, p2o.SolverStatus.CONVERGED
-        solution = checked_solution(pairs, start, pose, options.trials, status, options.max_condition)
+        solution = checked_solution(pairs, start, pose, _TRIALS, status, MAX_CONDITION)
         return replace(solution, cost=float(problem.cost(solution.camera_from_lidar[None])[0]))
 
     return solve

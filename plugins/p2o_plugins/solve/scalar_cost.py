@@ -10,14 +10,7 @@ import p2o
 from p2o import Float
 from p2o.solving import LeastSquares, Objective, Problem, left_from_chart, pose_from_chart
 
-
-class StepOptions(p2o.Options):
-    """Steps of numerical derivatives, for problems without a gradient."""
-
-    step_deg: float = p2o.field(
-        0.02, gt=0, le=5, help="Rotation step of numerical derivatives; not used if the problem has a gradient."
-    )
-    step_m: float = p2o.field(0.005, gt=0, le=1, help="Translation step of numerical derivatives.")
+_STEP_DEG, _STEP_M = 0.02, 0.005  # steps of numerical derivatives, for problems without a gradient
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,12 +43,12 @@ class ScalarCost:
         """Return the cost at x (6,)."""
         return float(self.many(np.asarray(x)[None])[0])
 
-    def gradient(self, x: Float, steps: StepOptions) -> Float:
+    def gradient(self, x: Float) -> Float:
         """Return the derivatives (6,) at x (6,): those of the problem, else central differences in one call."""
         if isinstance(self.problem, Objective) and self.problem.gradient is not None:
             by_left_update = self.problem.gradient(self.pose(x))
             return np.asarray(by_left_update @ left_from_chart(x * self.unit) * self.unit)
-        return self.differences(x, steps.step_deg, steps.step_m)
+        return self.differences(x, _STEP_DEG, _STEP_M)
 
     def differences(self, x: Float, step_deg: float, step_m: float) -> Float:
         """Return derivatives (6,) at x (6,) by central differences over these steps, 0 where they are not finite."""

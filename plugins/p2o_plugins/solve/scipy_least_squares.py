@@ -9,6 +9,8 @@ import p2o
 from p2o import Float, solving
 from p2o.solving import LeastSquares, Problem, checked_solution, linearise, pose_from_chart, require_residuals
 
+from p2o_plugins.solve.lm import MAX_CONDITION
+
 
 class ScipyOptions(p2o.Options):
     """Options of `scipy`."""
@@ -16,9 +18,6 @@ class ScipyOptions(p2o.Options):
     max_iterations: int = p2o.field(100, ge=1, help="Largest number of evaluations of the residuals.")
     tolerance: float = p2o.field(
         1e-14, gt=1e-15, help="Relative change of cost or unknowns at which to stop (ftol and xtol of SciPy)."
-    )
-    max_condition: float = p2o.field(
-        1e5, gt=1, help="Condition number of the scaled Hessian above which a direction is unobservable."
     )
 
 
@@ -30,7 +29,7 @@ def build(options: ScipyOptions) -> p2o.Solver:
     def solve(problem: Problem, camera_from_lidar: Float) -> p2o.Solution:
         pairs = require_residuals(problem, "scipy")
         start = np.asarray(camera_from_lidar, dtype=np.float64)
-        at_start = checked_solution(pairs, start, start, 0, p2o.SolverStatus.CONVERGED, options.max_condition)
+        at_start = checked_solution(pairs, start, start, 0, p2o.SolverStatus.CONVERGED, MAX_CONDITION)
         if at_start.status == p2o.SolverStatus.SINGULAR:
             return at_start  # SciPy does not damp and would diverge along unobservable directions.
 
@@ -55,7 +54,7 @@ def build(options: ScipyOptions) -> p2o.Solver:
             )
         status = p2o.SolverStatus.CONVERGED if fit.status > 0 else p2o.SolverStatus.ITERATIONS_SPENT
         pose = pose_from_chart(start, fit.x)
-        return checked_solution(pairs, start, pose, int(fit.nfev), status, options.max_condition)
+        return checked_solution(pairs, start, pose, int(fit.nfev), status, MAX_CONDITION)
 
     return solve
 

@@ -260,29 +260,19 @@ def test_every_option_changes_the_outcome():
     rough = Cloud(clean.xyz * (1 + 0.01 * rng.standard_normal((len(clean), 1))))
     changes = {
         "min_jump_m": 2.0,
-        "min_jump_share": 0.2,
-        "slant_ratio": 0.0,
-        "grazing_share": 0.01,
         "ground_height_m": 1.0,
         "min_support": 0.9,
-        "weigh": False,
         "min_neighbours": 6,
-        "neighbour_m": 0.05,
-        "neighbour_share": 0.2,
         "shift_beams": 0.0,
         "max_points": 100,
-        "seed": 3,
         "origin_m": (0.0, 0.0, 0.5),
-        "max_spacings": 1.5,
-        "open_share": 1.0,
     }
     assert set(changes) == set(RangeViewOptions.model_fields)
-    base = {"neighbour_m": 0.3, "min_neighbours": 4}
 
     def outcome(**options):
-        features = METHOD.build(RangeViewOptions(**(base | options)))(rough)
+        features = METHOD.build(RangeViewOptions(**options))(rough)
         return as_rows(features.edges).tobytes() + features.points.tobytes()
 
     plain = outcome()
     same = [name for name, value in changes.items() if outcome(**{name: value}) == plain]
-    assert same in ([], ["seed"])  # another seed may find the same ground
+    assert not same

@@ -78,7 +78,7 @@ def test_proposals_lie_apart_the_best_first_and_the_given_start_last() -> None:
     *proposals, last = search.build(options)([haunted(0)], start)
     assert last is start
     assert 1 < len(proposals) <= 5
-    cost = DirectedCost.of([haunted(0)], start, options.finest_px, max_points=options.max_points)
+    cost = DirectedCost.of([haunted(0)], start, 4.0, max_points=options.max_points)
     values = cost(np.stack(proposals))
     assert (np.diff(values) > -0.05).all()
     for number, pose in enumerate(proposals):

@@ -10,7 +10,7 @@ import pytest
 from p2o import CloudEdges, CloudFeatures, ImageEdges, ImageFeatures, Method, Side, View, se3
 from p2o.problems.pairing import balanced, thinned
 from p2o.solving import PointToLine
-from p2o_baselines import nearest
+from p2o_baselines.edges import nearest
 from p2o_plugins.match import ogm
 
 from tests import edge_scene

@@ -12,7 +12,7 @@ from p2o import se3
 from p2o.problems.problem import pose_from_chart
 from p2o.solving import Objective
 from p2o_plugins.solve import barzilai_borwein, bfgs, cma_es, particle_swarm
-from p2o_plugins.solve.scalar_cost import ScalarCost, StepOptions
+from p2o_plugins.solve.scalar_cost import ScalarCost
 
 from tests.edge_scene import TRUTH
 
@@ -125,9 +125,10 @@ def test_a_solver_that_draws_leaves_the_common_generator_alone(method: p2o.Metho
     assert (np.random.get_state()[1] == before).all()  # noqa: NPY002
 
 
-def test_a_swarm_is_asked_for_at_once() -> None:
+def test_a_swarm_is_asked_for_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(particle_swarm, "_COLLAPSED", 0.0)
     bowl = Bowl()
-    built(particle_swarm.METHOD, particles=50, iterations=20, collapsed=0)(bowl, START)
+    built(particle_swarm.METHOD, particles=50, iterations=20)(bowl, START)
     # Moves, and the first places in each box; a box may be the last one when the moves are spent.
     assert 20 < bowl.asked.count(50) <= 20 + 4
     assert set(bowl.asked) == {1, 50}
@@ -163,5 +164,5 @@ def test_numeric_gradients_agree_with_given_ones_in_the_chart() -> None:
 
     problems = Bowl(), Objective(Bowl().cost, gradient)
     x = np.array([0.3, -0.2, 0.5, 0.1, -0.4, 0.2])
-    numeric, given = (ScalarCost(p, START, 2.0, 0.3).gradient(x, StepOptions()) for p in problems)
+    numeric, given = (ScalarCost(p, START, 2.0, 0.3).gradient(x) for p in problems)
     assert numeric == pytest.approx(given, rel=1e-4)

@@ -32,7 +32,7 @@ from p2o.reading import RadialError
 from p2o.results.result import DIRECTED, INTERVALS
 from p2o.results.verdict import Doubt, Trust, Verdict
 from p2o.run.pipeline import Pipeline
-from p2o_baselines import nearest
+from p2o_baselines.edges import nearest
 from p2o_plugins.initialize import given, grid, search
 from p2o_plugins.match import ogm
 from p2o_plugins.solve import lm, nelder_mead

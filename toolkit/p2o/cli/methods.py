@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable
+from itertools import groupby
+from textwrap import wrap
+from types import UnionType
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, get_args, get_origin
 
 import click
 
@@ -104,25 +108,52 @@ def explained(offer: Offer) -> str:
 
 
 def _option_table(options: type[Options]) -> list[str]:
-    """Return the options of a model, one per line."""
+    """Return the options of a model: name, default and type, and the description indented below them."""
     rows = [option_row(name, field) for name, field in options.model_fields.items()]
-    widths = [max(len(row[i]) for row in rows) for i in range(3)] if rows else []
-    return ["    " + "  ".join(f"{row[i]:<{width}}" for i, width in enumerate(widths)) + f"  {row[3]}" for row in rows]
+    widths = [max((len(row[i]) for row in rows), default=0) for i in range(2)]
+    indent = " " * 8
+    lines = []
+    for name, default, kind, description in rows:
+        lines += wrap(
+            f"    {name:<{widths[0]}}  {default:<{min(widths[1], 16)}}  {kind}", 110, subsequent_indent=indent
+        )
+        lines += wrap(description, 110, initial_indent=indent, subsequent_indent=indent)
+    return lines
 
 
 def option_row(name: str, field: Any) -> tuple[str, str, str, str]:
     """Return name, default, type with bounds, and description of an option."""
     default = "(required)" if field.is_required() else str(field.get_default(call_default_factory=True))
-    annotation = field.annotation
-    kind = annotation.__name__ if isinstance(annotation, type) else str(annotation).replace("typing.", "")
-    signs = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
-    bounds = [
-        f"{sign} {getattr(rule, word):g}"
-        for rule in field.metadata
-        for word, sign in signs.items()
-        if getattr(rule, word, None) is not None
-    ]
-    return name, default, " ".join([kind, ", ".join(bounds)]).strip(), field.description or ""
+    kind = " ".join([_type_text(field.annotation), _bounds_text(field.metadata)]).strip()
+    return name, default, kind, field.description or ""
+
+
+def _type_text(annotation: Any) -> str:
+    """Return a type for users: `float >= 0`, `none | all`, `6 x float`; bounds within it are in its metadata."""
+    parts = get_args(annotation)
+    origin = get_origin(annotation)
+    if origin is Annotated:
+        rules = [rule for part in parts[1:] for rule in getattr(part, "metadata", [part])]
+        return f"{_type_text(parts[0])} {_bounds_text(rules)}".strip()
+    if origin is Literal:
+        return " | ".join(map(str, parts))
+    if origin in (Union, UnionType):
+        return " | ".join("null" if part is type(None) else _type_text(part) for part in parts)
+    if origin is tuple and Ellipsis not in parts:
+        texts = [f"{len(list(same))} x {text}" for text, same in groupby(map(_type_text, parts))]
+        return ", ".join(text.removeprefix("1 x ") for text in texts)
+    if parts:
+        return f"list of {_type_text(parts[0])}"
+    return str(getattr(annotation, "__name__", annotation))
+
+
+_SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
+
+
+def _bounds_text(rules: Iterable[Any]) -> str:
+    """Return the bounds of a number as text, such as `>= 0, < 90`."""
+    limits = ((sign, getattr(rule, word, None)) for rule in rules for word, sign in _SIGNS.items())
+    return ", ".join(f"{sign} {value:g}" for sign, value in limits if value is not None)
 
 
 def fit_matrix(registry: Registry) -> str:

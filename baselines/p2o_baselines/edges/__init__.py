@@ -1,0 +1,1 @@
+"""Methods that align edges of image and sweep."""

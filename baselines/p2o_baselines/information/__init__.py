@@ -1,0 +1,1 @@
+"""Methods that maximise the mutual information of both sensors."""

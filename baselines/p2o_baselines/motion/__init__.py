@@ -1,0 +1,1 @@
+"""Methods that use the motion of both sensors."""

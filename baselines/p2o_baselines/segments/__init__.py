@@ -1,0 +1,1 @@
+"""Methods that align objects, lanes and segments."""

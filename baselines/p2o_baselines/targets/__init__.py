@@ -1,0 +1,1 @@
+"""Methods with boards, balls and boxes of known size."""
