@@ -19,7 +19,7 @@ from urllib.parse import quote, unquote
 from p2o.errors import InputError, P2OError
 from p2o.files.input_file import expanded, read_bytes
 from p2o.files.parsed_text import parse_json
-from p2o.files.whole_file import sync_folder, write_errors, write_whole
+from p2o.files.whole_file import sync_folder, write_errors, write_synced
 
 from p2o_fleet.checks import READ, Checks
 from p2o_fleet.drive import Drive, day_of
@@ -166,7 +166,7 @@ class Store:
             for attempt in range(_ATTEMPTS):
                 path.parent.mkdir(parents=True, exist_ok=True)
                 try:
-                    write_whole(path, content.getvalue(), sync=True)
+                    write_synced(path, content.getvalue())
                     break
                 except InputError:
                     if path.parent.exists() or attempt == _ATTEMPTS - 1:  # else another process removed the folder

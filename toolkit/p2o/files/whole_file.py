@@ -13,13 +13,21 @@ from typing import Any
 from p2o.errors import InputError
 
 
-def write_whole(path: Path | str, data: bytes, *, sync: bool = False) -> None:
+def write_whole(path: Path | str, data: bytes) -> None:
     """Write `data` to a file in an existing folder; an existing file is replaced atomically.
 
-    With `sync`, the content is on the disk before the file has its name (and the name after `sync_folder`).
     Raises InputError if the folder is missing or cannot be written, the disk is full, or the path is a folder, a
     device or a pipe.
     """
+    _write(path, data, sync=False)
+
+
+def write_synced(path: Path | str, data: bytes) -> None:
+    """Write as `write_whole`, with the content on the disk before the file has its name, as `sync_folder` for names."""
+    _write(path, data, sync=True)
+
+
+def _write(path: Path | str, data: bytes, *, sync: bool) -> None:
     path = Path(path)
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
