@@ -37,7 +37,7 @@ _MOST_IMPORTERS, _FEW = 8, 3
 """Most test files of stage 1 beside those named after the module; below `_FEW` in all, files of its room fill up."""
 _SLOW = frozenset(
     {
-        "ablate", "basin", "conformance", "distribution", "docs_site", "example_plugin", "example_workflow",
+        "ablate", "all_pages", "basin", "conformance", "distribution", "docs_site", "example_plugin", "example_workflow",
         "fuzz", "gate", "in_browser", "kills", "notebook", "pages", "pick_page", "plugin_command",
         "real_accuracy", "real_motion", "report_page", "rivals", "ros_bag_page", "run_page", "simulate_command",
         "staged_families", "synthetic", "table1", "train_command", "trouble", "tutorials", "view_page",

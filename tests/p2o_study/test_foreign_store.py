@@ -170,7 +170,6 @@ FOREIGN = {
 def test_a_file_that_no_study_wrote_is_told_by_both_commands(
     case: str, store: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    pytest.importorskip("plotly")
     try:
         FOREIGN[case](store)
     except sqlite3.OperationalError as problem:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from p2o.cli.summary import describe
-from p2o.draw.run_page import run_page
+from p2o.page.run_page import run_page
 from p2o.results import figures
 from p2o.results.evidence import Agreement, Judged, Rival
 from p2o.results.figures import FIGURES, Figure, accuracy_text, figure_lines, figure_values, result_lines
@@ -22,6 +22,8 @@ from p2o_study.columns import METRICS, type_of
 from p2o_study.store import Planned, Store, StoredRow, StoredStudy
 from p2o_study.worker import _filled
 from p2o_testing.same import difference
+
+from tests.page_description import blocks, description
 
 
 def result(**values: object) -> Result:
@@ -45,8 +47,8 @@ def test_a_figure_that_is_described_in_one_place_is_in_json_terminal_page_and_st
     assert difference(result_from_json(text), calibrated) == ""
     row = Row(calibrated, None, None, None)
     assert "\n  glare     blinded 0.125 px of the image\n" in describe(row)
-    html = run_page(tmp_path, {"results": [row.as_dict()]})
-    assert '<td class="text">glare</td><td class="text">blinded 0.125 px of the image</td>' in html
+    evidence = blocks(description(run_page(tmp_path, {"results": [row.as_dict()]})), "facts")
+    assert ["glare", "blinded 0.125 px of the image"] in [line for one in evidence for line in one["rows"]]
     with Store.open(tmp_path) as store:
         store.begin(StoredStudy("s", "", {}, ()), [Planned("k", "s", "ours")])
         store.put(_filled(StoredRow("k", "s", "ours"), calibrated))

@@ -1,23 +1,24 @@
-"""The rows of all suites as one page that works offline: tables with top groups, plots, and single runs on demand."""
+"""The rows of all suites as one page that works offline: families, tables with top groups, plots, runs on demand."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from itertools import groupby, takewhile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from markupsafe import Markup
 from p2o.arrays import Int
-from p2o.draw.one_file import part, rendered
-from p2o.errors import InputError, P2OError
+from p2o.errors import P2OError
 from p2o.files.whole_file import write_whole
 from p2o.host.registry import Registry
 from p2o.host.slots import KIND_OF
+from p2o.page import page as html
+from p2o.page.page import Block, Column, brief, cell
+from p2o.page.plot import TablePanel, plot_of_table
 from p2o.run.fit import FRAME_CONTENT
 from p2o.run.recipe import Recipe
 
@@ -30,21 +31,18 @@ from p2o_study.benchmark.summary import RowSummary, clusters_of, dataset_cluster
 from p2o_study.benchmark.tables import NOTE
 from p2o_study.compare import family_of
 from p2o_study.coverage import WRONG, WRONG_TEXT
-from p2o_study.report.bootstrap import Interval
-from p2o_study.report.figures import COLOURS
-from p2o_study.report.page import brief, script_json, shown_texts
 from p2o_study.report.summary import NORMS
+from p2o_study.report.tables import name_of, unit_of
 from p2o_study.study import DatasetTable
 from p2o_study.tally import brief_seconds
 
-INDEX, DATA = "index.html", "data"
+INDEX = "index.html"
 MAX_BYTES = 4_000_000
 """Maximum size of the rows on the page, as JSON: the page stays below 5 MB."""
 MAX_ROWS = 4000
-_AT_ONCE = 2000
-"""Number of runs of a file that the page loads."""
 EXTERNAL, UNKNOWN = "external", "not installed"
 """Families of methods outside p2o, and of methods that are not installed here."""
+NO_NEEDS = "nothing beyond image and sweep"
 GROUPS_NOTE = (
     "Groups are top groups: methods whose 95 % intervals overlap, also through a third one, are in one group, which "
     "has no order. Only methods on the same frames, from the same initial error and with the same number of frames "
@@ -53,6 +51,140 @@ GROUPS_NOTE = (
 )
 Card = Mapping[str, str]
 """A data card: texts by their heading, such as "sensor" and "licence"."""
+
+
+# ---- what the page shows of a row, and of a run when the row is opened
+
+_STARTS = {norm: f"initial {name_of(norm)}" for norm in NORMS}
+
+
+def line_columns() -> list[Column]:
+    """Return the columns of rows; some are for filters, search and plots only."""
+    columns = [Column("method", text=True, hide=0, of=lambda one: cell(one.label, below=one.family))]
+    for norm in NORMS:
+        name, (unit, _, digits) = name_of(norm), unit_of(norm)
+        columns += [
+            Column(f"{name} group", hide=2, looks={"1": "good"}, of=partial(_top_group, norm=norm)),
+            Column(f"{name} mean", unit, digits, hide=0, of=partial(_mean, norm=norm)),
+            Column(f"{name} median", unit, digits, hide=3, of=partial(_median, norm=norm)),
+        ]
+    return [
+        *columns,
+        Column("n", hide=4, of=lambda one: one.summary.count),
+        Column("independent groups", hide=6, of=lambda one: one.summary.groups),
+        Column("refused", hide=2, of=lambda one: one.summary.refused),
+        Column("trusted", hide=3, of=lambda one: one.summary.trusted),
+        Column("false accepts", hide=2, of=lambda one: one.summary.false_accepts),
+        Column("coverage 67 %", hide=5, of=partial(_covered, names=("rotation", "translation"))),
+        Column("coverage 95 %", hide=4, of=partial(_covered, names=("rotation_95", "translation_95"))),
+        Column(
+            "time", "s", hide=3, of=lambda one: cell(brief(one.summary.seconds), brief_seconds(one.summary.seconds))
+        ),
+        Column("suite", off=True, of=lambda one: one.suite.name),
+        Column("data set", off=True, of=lambda one: one.data_title),
+        Column("initial error", off=True, of=lambda one: one.protocol),
+        Column("frames", off=True, of=lambda one: one.frames[1]),
+        Column("family", off=True, of=lambda one: one.family),
+        Column("needs", off=True, of=lambda one: one.needs or [NO_NEEDS]),
+        Column("words", off=True, of=lambda one: " ".join(one.method.words.values())),
+        Column("name", off=True, of=lambda one: one.name),
+        Column("compared", off=True, of=lambda one: cell(one.heading, one.heading, one.suite.suite.question)),
+        Column("same but frames", off=True, of=lambda one: f"{one.same} {one.protocol}"),
+        Column("same but initial error", off=True, of=lambda one: f"{one.same} {one.frames}"),
+        *(Column(_STARTS[norm], off=True, of=partial(_start, norm=norm)) for norm in NORMS),
+    ]
+
+
+def _top_group(line: _Line, norm: str) -> int | None:
+    return line.top_group.get(norm)
+
+
+def _mean(line: _Line, norm: str) -> Any:
+    mean = line.summary.mean.get(norm)
+    ends = [] if mean is None else [mean.value, mean.low, mean.high]
+    return html.interval([None if end is None else unit_of(norm)[1] * end for end in ends]) if ends else None
+
+
+def _median(line: _Line, norm: str) -> float | None:
+    median = line.summary.median.get(norm)
+    return None if median is None else brief(unit_of(norm)[1] * median)
+
+
+def _covered(line: _Line, names: tuple[str, str]) -> Any:
+    coverage = line.summary.coverage
+    shares = [getattr(coverage, name) / coverage.count for name in names] if coverage.count else []
+    return cell(brief(shares[0]), *(f"{100 * share:.0f} %" for share in shares)) if shares else None
+
+
+def _start(line: _Line, norm: str) -> float | None:
+    values = line.runs[f"start_{norm}"]
+    return None if np.isnan(values).all() else brief(float(np.nanmean(values)))
+
+
+def line_facts(line: _Line) -> Block:
+    """Return method, data and errors of a row."""
+    summary, coverage = line.summary, line.summary.coverage
+    errors = []
+    for norm in NORMS:
+        unit, factor, digits = unit_of(norm)
+        mean = summary.mean.get(norm)
+        known = (None if mean is None else mean.value, summary.median.get(norm), summary.solved_only.get(norm))
+        texts = [html.number_text(None if value is None else factor * value, digits) for value in known]
+        errors.append((f"{name_of(norm)} [{unit}]", "mean {}, median {}, solved only {}".format(*texts)))
+    if coverage.count:
+        errors += [("coverage 67 %", coverage.text_67), ("coverage 95 %", coverage.text_95)]
+    method = [*line.method.words.items(), ("family", line.family), ("needs", ", ".join(line.needs) or NO_NEEDS)]
+    method += [("source", line.method.source)] if line.method.source else []
+    count = f"{summary.count} on {summary.groups} independent groups, {summary.refused} refused"
+    data = [("suite", line.suite.name), ("compared", line.heading), ("calibrations", count)]
+    parts = {"Method": method, "Data": data, "Error": errors}
+    return html.grid(*(html.part(title, html.facts(rows)) for title, rows in parts.items()), least=300)
+
+
+RUN_COLUMNS = html.columns_of(
+    [
+        Column("frames", text=True, hide=0),
+        Column("seed", hide=4),
+        *(Column(name_of(norm), *unit_of(norm)[::2], hide=0) for norm in NORMS),
+        Column("status", text=True, hide=3),
+        Column("verdict", text=True, order=TRUSTS, looks=html.TRUST_LOOKS),
+        *(
+            Column(f"{name_of(norm)} {what}", *unit_of(norm)[::2], hide=hide)
+            for what, hide in (("initial", 4), ("67 %", 3), ("95 %", 5))
+            for norm in NORMS
+        ),
+        Column("time", "s", 2, hide=4),
+        Column("names of frames", off=True),
+    ]
+)
+"""The columns of runs, in the order of `run_rows`."""
+
+
+def run_rows(runs: Runs, outcomes: Outcomes) -> list[list[Any]]:
+    """Return the rows of runs."""
+    names = [
+        f"{prefix}{norm}{end}"
+        for prefix, end in (("start_", ""), ("predicted_", ""), ("predicted_", "_95"))
+        for norm in NORMS
+    ]
+    factors = {name: unit_of(name.removesuffix("_95"))[1] for name in (*NORMS, *names)}
+    columns = {name: (factor * runs[name]).tolist() for name, factor in factors.items()}
+    rows = []
+    for number, run in enumerate(runs):
+        place = list(outcomes.places[int(run["place"])])
+        verdict = int(run["verdict"])
+        errors, others = ([_size(columns[name][number]) for name in some] for some in (NORMS, names))
+        words = [STATUSES[int(run["status"])], None if verdict < 0 else TRUSTS[verdict]]
+        frames = ", ".join(place) if len(place) > 1 else None
+        rows.append([place_of(place), int(run["seed"]), *errors, *words, *others, brief(float(run["seconds"])), frames])
+    return rows
+
+
+def _size(value: float) -> Any:
+    return cell(None, "unobservable") if value == np.inf else brief(value)
+
+
+# ---- the page
 
 
 @dataclass(frozen=True)
@@ -67,12 +199,22 @@ class Written:
 
 @dataclass(eq=False)
 class _Line:
-    """One row of the page: the runs of a label on one dataset from one initial error."""
+    """One row of the page: the runs of a label on one dataset from one initial error.
+
+    `name` and `number` are those of its method in the suite, `top_group` its top group by norm, `data_title` the
+    dataset with its sensors.
+    """
 
     suite: SuiteFile
     outcomes: Outcomes
     runs: Runs
     clusters: Int
+    name: str = ""
+    number: int = 0
+    family: str = ""
+    needs: Sequence[str] = ()
+    data_title: str = ""
+    top_group: Mapping[str, int | None] = field(default_factory=dict)
 
     @cached_property
     def summary(self) -> RowSummary:
@@ -101,11 +243,27 @@ class _Line:
         return min(counts), max(counts)
 
     @property
+    def frames_text(self) -> str:
+        """The number of frames of a calibration as text."""
+        least, most = self.frames
+        return f"{most if least == most else f'{least} to {most}'} frame{'s' * (most != 1)}"
+
+    @property
+    def heading(self) -> str:
+        """What rows have in common that are compared, as text."""
+        return f"{self.data_title}, {self.frames_text}, from {self.protocol}"
+
+    @property
+    def same(self) -> str:
+        """Equal for two rows of one method on one dataset of a suite."""
+        return json.dumps([self.suite.name, self.dataset, self.number])
+
+    @property
     def comparable(self) -> tuple[str, str, str, int]:
         """What rows have in common that are compared."""
         return self.suite.name, self.dataset, self.protocol, self.frames[1]
 
-    @property
+    @cached_property
     def same_method(self) -> str:
         """Equal for two rows of one method, whatever their initial error and number of frames."""
         if self.method.external:
@@ -129,72 +287,162 @@ def write_page(
     overlays: Overlays | None = None,
     on_suite: Callable[[str], None] = lambda name: None,
 ) -> Written:
-    """Write the page of suites, and a file for each 2000 runs, to a folder, and return what was written.
+    """Write the page of suites, and a file for the runs of each row, to a folder, and return what was written.
 
-    The page needs no server and loads nothing but these files. It stays below 5 MB: rows beyond `MAX_BYTES` or
-    `MAX_ROWS` are left out, which it states. `cards` returns the data cards of a dataset of a suite by title,
-    `overlays` draws images. Raises InputError as `Outcomes.read`, and if the folder cannot be written.
+    The page needs no server and loads nothing but these files. It opens with the suite that compares most families.
+    It stays below 5 MB: rows beyond `MAX_BYTES` or `MAX_ROWS` are left out, which it states. `cards` returns the data
+    cards of a dataset of a suite by title, `overlays` draws images. Raises InputError as `Outcomes.read`, and if the
+    folder cannot be written.
     """
-    _prepare(folder)
-    lines: list[dict[str, Any]] = []
-    size = left_out = runs = 0
-    names = _Names(registry)
-    frames = results.frames
+    html.prepare_data(folder)
+    names, shared, columns = _Names(registry), html.Shared(), line_columns()
+    shown: list[_Line] = []
+    rows: list[list[Any]] = []
+    opens = []
     described: dict[str, Card] = {}
+    size = left_out = 0
     for suite in suites:
         on_suite(suite.name)
         own = {table.name: cards(table) for table in suite.study.study.dataset}
-        for compared in _compared(suite, Outcomes.read(results, suite.name, frames)):
-            chosen = compared[: MAX_ROWS - len(lines)] if size < MAX_BYTES else []
+        for lines in _compared(suite, Outcomes.read(results, suite.name, results.frames)):
+            chosen = lines[: MAX_ROWS - len(rows)] if size < MAX_BYTES else []
             groups = {norm: top_groups([line.summary.mean.get(norm) for line in chosen]) for norm in NORMS}
             for number, line in enumerate(chosen):
-                shown = _shown_line(line, names) | {"group": {norm: groups[norm][number] for norm in NORMS}}
-                shown["cards"] = list(own.get(line.dataset, ()))
-                size += len(json.dumps(shown))
+                known = own.get(line.dataset, {})
+                sensors = ", ".join(sorted({card["sensor"] for card in known.values() if card.get("sensor")}))
+                line.data_title = f"{line.dataset} ({sensors})" if sensors else line.dataset
+                line.family, line.needs = names.of(line.method)
+                line.top_group = {norm: groups[norm][number] for norm in NORMS}
+                cells = html.cells(columns, line)
+                size += len(json.dumps(cells))
                 if size > MAX_BYTES:
                     break
-                shown["file"] = f"{suite.name}-{len(lines)}"
-                shown["parts"] = _write_runs(folder / DATA, shown["file"], line, overlays)
-                described |= own.get(line.dataset, {})
-                lines.append(shown)
-                runs += len(line.runs)
+                file = f"{suite.name}-{len(rows)}"
+                facts = [line_facts(line), *(_card(shared, title, card) for title, card in known.items())]
+                html.write_data(folder, file, [[*facts, *_runs(line, overlays, shared)]])
+                opens.append(html.detail_of_file(f"{line.label}: {line.heading}", file))
+                described |= known
+                shown.append(line)
+                rows.append(cells)
                 left_out -= 1
-            left_out += len(compared)
-    _name_methods(lines)
-    data = {
-        "rows": lines,
-        "suites": {suite.name: suite.suite.question for suite in suites},
-        "cards": {title: dict(card) for title, card in described.items()},
-        "norms": NORMS,
-        "statuses": STATUSES,
-        "trusts": TRUSTS,
-        "colours": COLOURS,
-        "leftOut": left_out,
-        "notes": [GROUPS_NOTE, NOTE],
-    }
-    files = ("p2o_study.report/nodes.js", "p2o_study.report/elements.js", "p2o_study.benchmark/page.js")
-    page = rendered(
-        "p2o_study.benchmark/page.html",
-        style="p2o_study.report/page.css",
-        scripts=("".join(map(part, files)),),
-        script_files=True,
-        title="p2o benchmark",
-        own_style=Markup(part("p2o_study.benchmark/page.css")),
-        data=script_json(data),
+            left_out += len(lines)
+    families = {suite.name: {line.family for line in shown if line.suite is suite} for suite in suites}
+    first = max(families, key=lambda name: len(families[name]), default="")
+    blocks = [
+        html.text("Errors of camera-LiDAR calibration, computed from poses. Select a row to see its runs.", "quiet")
+    ]
+    if left_out:
+        text = f"The page has the first {len(rows)} rows; {left_out} further ones are left out."
+        blocks.append(html.text(f"{text} p2o benchmark table has all.", "quiet"))
+    blocks += [_families([line for line in shown if line.suite.name == first])] if shown else []
+    filters = ["data set", "initial error", "frames", "family", "needs"]
+    table = html.table(
+        [replace(column, of=None) for column in columns],
+        rows,
+        name="rows",
+        search=True,
+        filters=[("suite", first), *filters] if shown else (),
+        group="compared",
+        opens=opens,
+        counted=" rows",
     )
+    note = (
+        "Of the rows above. Select a point to open its row, a name to hide it; drag to enlarge. Axes are logarithmic."
+    )
+    plots = html.choice("of", {name_of(norm): [_plots(norm)] for norm in NORMS})
+    blocks += [html.section("Rows", table), html.section("Errors", plots, html.text(note, "quiet"))]
+    if described:
+        blocks.append(html.section("Data", *(_card(shared, title, card) for title, card in described.items())))
+    blocks.append(html.section("How to read it", *(html.text(note, "quiet") for note in (GROUPS_NOTE, NOTE))))
+    page = html.page("p2o benchmark", blocks, shared=shared, script_files=True)
     write_whole(folder / INDEX, page.encode())
-    return Written(folder / INDEX, len(lines), left_out, runs)
+    return Written(folder / INDEX, len(rows), left_out, sum(len(line.runs) for line in shown))
 
 
-def _prepare(folder: Path) -> None:
-    """Create the folder of the page, and remove the runs of an earlier page."""
-    try:
-        (folder / DATA).mkdir(parents=True, exist_ok=True)
-        for path in (folder / DATA).glob("*.js"):
-            path.unlink()
-    except OSError as problem:
-        got = problem.strerror or str(problem)
-        raise InputError("cannot write the folder of the page", where=folder, got=got, hint="--out FOLDER") from problem
+def _card(shared: html.Shared, title: str, card: Card) -> Block:
+    """Return a data card."""
+    return shared.use(
+        html.fold(f"data card: {title}", html.facts([(name, text) for name, text in card.items() if text]))
+    )
+
+
+def _runs(line: _Line, overlays: Overlays | None, shared: html.Shared) -> list[Block]:
+    """Return the overlays and the runs of a row, those with the largest errors first."""
+    runs = line.runs
+    size = np.nan_to_num(runs["rotation_deg"] / WRONG.angle_deg + runs["translation_m"] / WRONG.distance_m, nan=np.inf)
+    runs = runs[np.argsort(-size, kind="stable")]
+    drawn = [] if overlays is None else overlays.of(line.suite, line.outcomes, runs)
+    slides = [html.slides(f"run with the {one['name']}: {one['frame']}", one["before"], one["after"]) for one in drawn]
+    table = html.table(
+        shared.use(RUN_COLUMNS),
+        run_rows(runs, line.outcomes),
+        name="runs",
+        search=True,
+        counted=" runs, those with the largest errors first",
+    )
+    return [*([html.grid(*slides, least=400)] if slides else []), html.section("Runs", table)]
+
+
+def _families(lines: Sequence[_Line]) -> Block:
+    """Return the methods of a suite by family: their mean errors in each comparison."""
+    by_method: dict[tuple[str, str], dict[str, _Line]] = {}
+    for line in lines:
+        by_method.setdefault((line.family, line.name), {})[line.heading] = line
+    keys = sorted(by_method, key=lambda key: key[0])
+    columns = [Column("method", text=True, hide=0, of=lambda key: key[1])]
+    columns.append(Column("family", off=True, of=lambda key: key[0]))
+    for heading, line in {line.heading: line for line in lines}.items():
+        title = f"{line.dataset}, {line.frames_text}, from {line.protocol}"
+        columns.append(Column(title, of=partial(_both_means, by_method, heading)))
+    opens = [html.rows_of("rows", suite=lines[0].suite.name, family=family, find=name) for family, name in keys]
+    guide = "Mean rotation error, below it that of the translation. Select a method to see its rows."
+    table = html.table(columns, keys, name="families", group="family", opens=opens)
+    question = html.text(lines[0].suite.suite.question)
+    return html.section("Methods by family", question, table, html.text(guide, "quiet"))
+
+
+def _both_means(by_method: Mapping[Any, Mapping[str, _Line]], heading: str, key: tuple[str, str]) -> Any:
+    line = by_method[key].get(heading)
+    means = {} if line is None else line.summary.mean
+    texts = [
+        f"{factor * means[norm].value:.{digits}f} {unit}" for norm in means for unit, factor, digits in [unit_of(norm)]
+    ]
+    return cell(brief(means[NORMS[0]].value), *texts) if texts else None
+
+
+def _plots(norm: str) -> Block:
+    """Return the plots of the mean error of a norm over what it depends on."""
+    y, unit = f"{name_of(norm)} mean", unit_of(norm)[0]
+    panel = TablePanel(
+        "time", y, "name", "over time", y_title=f"{name_of(norm)} error [{unit}]", x_title="median time [s]"
+    )
+    start = f"mean initial {name_of(norm)} error [{'deg' if unit == 'deg' else 'm'}]"
+    return plot_of_table(
+        "rows",
+        [
+            replace(panel, note="Mean error and median seconds of a calibration."),
+            replace(
+                panel,
+                x="frames",
+                x_title="frames",
+                title="over number of frames",
+                join="same but frames",
+                note="Lines connect rows of one method on one data set from one initial error.",
+            ),
+            replace(
+                panel,
+                x=_STARTS[norm],
+                x_title=start,
+                title="over initial error",
+                join="same but initial error",
+                diagonal=True,
+                note="Below the dashed line the error became smaller.",
+            ),
+            replace(
+                panel, x="data set", x_title="", title="over data set", categories=True, note="Bars are 95 % intervals."
+            ),
+        ],
+    )
 
 
 def _compared(suite: SuiteFile, outcomes: Outcomes) -> list[list[_Line]]:
@@ -203,6 +451,12 @@ def _compared(suite: SuiteFile, outcomes: Outcomes) -> list[list[_Line]]:
     order = {row.label: number for number, row in enumerate(suite.rows)}
     latest = outcomes.runs[outcomes.latest]
     lines = [_Line(suite, outcomes, runs, clusters) for runs in split_by(latest, "row", "dataset", "protocol")]
+    labels: dict[str, list[str]] = {}
+    for line in lines:
+        labels.setdefault(line.same_method, []).append(line.label)
+    for number, (method, own) in enumerate(labels.items()):
+        for line in (line for line in lines if line.same_method == method):
+            line.name, line.number = common_name(own), number
     lines.sort(key=lambda line: (line.comparable, order.get(line.label, len(order)), line.label))
     return [list(some) for _, some in groupby(lines, key=lambda line: line.comparable)]
 
@@ -232,56 +486,6 @@ class _Names:
         return family_of(plan), sorted(needs & FRAME_CONTENT.keys())
 
 
-def _shown_line(line: _Line, names: _Names) -> dict[str, Any]:
-    """Return a row as JSON."""
-    summary, (least, most) = line.summary, line.frames
-    family, needs = names.of(line.method)
-    coverage = summary.coverage
-    counts = (coverage.rotation, coverage.translation, coverage.rotation_95, coverage.translation_95)
-    starts = [line.runs[f"start_{norm}"] for norm in NORMS]
-    return {
-        "label": line.label,
-        "method": line.same_method,
-        "suite": line.suite.name,
-        "dataset": line.dataset,
-        "protocol": line.protocol,
-        "frames": most,
-        "framesText": str(most) if least == most else f"{least} to {most}",
-        "family": family,
-        "needs": needs,
-        "words": dict(line.method.words),
-        "source": line.method.source,
-        "count": summary.count,
-        "groups": summary.groups,
-        "refused": summary.refused,
-        "mean": {norm: _interval(value) for norm, value in summary.mean.items()},
-        "median": {norm: brief(value) for norm, value in summary.median.items()},
-        "solvedOnly": {norm: brief(value) for norm, value in summary.solved_only.items()},
-        "trusted": summary.trusted,
-        "falseAccepts": summary.false_accepts,
-        "coverage": [brief(number / coverage.count) for number in counts] if coverage.count else None,
-        "covered": coverage.count,
-        "seconds": brief(summary.seconds),
-        "time": brief_seconds(summary.seconds),
-        "start": [None if np.isnan(values).all() else brief(float(np.nanmean(values))) for values in starts],
-    }
-
-
-def _interval(value: Interval) -> list[float | None]:
-    return [brief(value.value), brief(value.low), brief(value.high)]
-
-
-def _name_methods(lines: Sequence[dict[str, Any]]) -> None:
-    """Replace the key of the method of each row by a number, and add the common name of its rows."""
-    labels: dict[str, list[str]] = {}
-    for line in lines:
-        labels.setdefault(line["method"], []).append(line["label"])
-    numbers = {method: number for number, method in enumerate(labels)}
-    for line in lines:
-        line["name"] = common_name(labels[line["method"]])
-        line["method"] = numbers[line["method"]]
-
-
 def common_name(labels: Sequence[str]) -> str:
     """Return the common beginning of labels in whole words: "ours" of "ours from 1deg" and "ours from 2deg"."""
     if len(set(labels)) == 1:
@@ -293,36 +497,3 @@ def common_name(labels: Sequence[str]) -> str:
     while common and common[-1] in ("", "from", "on", "@"):
         common = common[:-1]
     return " ".join(labels[0].split(" ")[: len(common)]).rstrip(",") or labels[0]
-
-
-def _write_runs(folder: Path, name: str, line: _Line, overlays: Overlays | None) -> int:
-    """Write the runs of a row, those with the largest errors first, and return the number of files."""
-    runs = line.runs
-    size = np.nan_to_num(runs["rotation_deg"] / WRONG.angle_deg + runs["translation_m"] / WRONG.distance_m, nan=np.inf)
-    runs = runs[np.argsort(-size, kind="stable")]
-    starts = range(0, len(runs), _AT_ONCE)
-    for number, first in enumerate(starts):
-        own = runs[first : first + _AT_ONCE]
-        shown = _shown_runs(own, line.outcomes)
-        shown["overlays"] = [] if overlays is None or number else overlays.of(line.suite, line.outcomes, runs)
-        text = json.dumps([name, number, shown], separators=(",", ":"))
-        # NaN and Infinity are values of a script.
-        write_whole(folder / f"{name}-{number}.js", f"receiveRuns(...{text});\n".encode())
-    return len(starts)
-
-
-def _shown_runs(runs: Runs, outcomes: Outcomes) -> dict[str, Any]:
-    """Return runs by column; "places" are the distinct frames, "frames" those of groups of several."""
-    places, numbers = np.unique(runs["place"], return_inverse=True)
-    names = [outcomes.places[place] for place in places]
-    bounds = [f"predicted_{norm}{suffix}" for suffix in ("", "_95") for norm in NORMS]
-    columns = [*NORMS, *(f"start_{norm}" for norm in NORMS), *bounds, "seconds"]
-    return {
-        "places": shown_texts([place_of(list(place)) for place in names]),
-        "frames": shown_texts([list(place) if len(place) > 1 else [] for place in names]),
-        "place": numbers.tolist(),
-        "seed": runs["seed"].tolist(),
-        "status": runs["status"].tolist(),
-        "verdict": runs["verdict"].tolist(),
-        **{name: np.round(runs[name], 5).tolist() for name in columns},
-    }
