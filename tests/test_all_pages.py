@@ -44,7 +44,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     names = ["--set", f"data.names={json.dumps([HOSTILE, 'a' * 90])}"]
     spy = ["--plugin", str(STAGE), "--data", "fake:", "--calibrator", "spy", "--perturb", "2deg 0.1m"]
     assert main(["run", *spy, *names, "--out", str(root / "run")]) == 0
-    assert main(["data", "show", SYNTHETIC, "--out", str(root / "show")]) == 0
+    assert main(["data", "show", "fake:", "--plugin", str(STAGE), *names, "--out", str(root / "show")]) == 0
     assert main(["check", SYNTHETIC, "--extrinsic", "truth", "--out", str(root / "check")]) in (0, 1)
     runs = [
         *table2(12, 3),
@@ -200,7 +200,8 @@ def test_columns_that_do_not_fit_are_hidden_least_important_first_and_rows_open_
         page.click("#rows tbody tr:nth-child(4) td")
         page.until_equal(lambda: page.text("#detail-title"), "row 3")
         facts = page.texts("#detail-body td:first-child")
-        assert sorted([*heads, *facts]) == sorted(["name", "error [deg]", "state", *(f"figure {n}" for n in range(12))])
+        every = ["name", "error [deg]", "state", *(f"figure {n}" for n in range(12)), "secret", "extra"]
+        assert sorted([*heads, *facts]) == sorted(every)
         page.click("#next")
         page.until(lambda: "detail of 4" in page.text("#detail-body"))
         page.click("#close")

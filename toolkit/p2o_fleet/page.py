@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from p2o.page import page as html
 from p2o.page.page import Block, Column, brief, cell
 from p2o.page.plot import Axis, Panel, Series, plot
 
-from p2o_fleet.fleet_state import ExtrinsicState, FleetState, FleetStatus, ServiceChange, TypeState, amount
+from p2o_fleet.fleet_state import Alarm, ExtrinsicState, FleetState, FleetStatus, ServiceChange, TypeState, amount
 from p2o_fleet.outputs import extrinsic_dict, iso, matrix_text, proposal_name, type_text
 from p2o_fleet.overlays import Overlays
 
@@ -50,6 +50,11 @@ def columns() -> list[Column]:
         Column("last check", hide=7, of=lambda one: _time_cell(one.last)),
         Column("extrinsics", off=True, of=lambda one: _IN_USE if one.current else "replaced"),
         Column("service", off=True, of=lambda one: one.service),
+        Column("extrinsic", off=True, of=lambda one: one.extrinsic),
+        Column("unreadable", off=True, of=lambda one: one.unreadable),
+        _alarm("since, 95 %", lambda alarm: f"{_short_time(alarm.since_first)} to {_short_time(alarm.since_last)}"),
+        _alarm("shown by", lambda alarm: f"{alarm.checks} checks with {alarm.frames} frames"),
+        _alarm("logs", lambda alarm: ", ".join(alarm.proof)),
     ]
 
 
@@ -82,7 +87,7 @@ def write_page(state: FleetState, folder: Path, overlays: Overlays | None = None
     opens = []
     for first in range(0, len(order), _PER_FILE):
         name, some = f"history-{first // _PER_FILE}", order[first : first + _PER_FILE]
-        html.write_data(folder, name, [[*_facts(one), *_history(one), *_overlays(one, overlays)] for one in some])
+        html.write_data(folder, name, [[*_proposal(one), *_history(one), *_overlays(one, overlays)] for one in some])
         opens += [html.detail_of_file(f"{one.vehicle}: {_sensors(one)}", name, n) for n, one in enumerate(some)]
     filters: list[str | tuple[str, str]] = ["state", "type", "sensors", ("extrinsics", _IN_USE)]
     table = html.table(
@@ -138,29 +143,16 @@ _TYPES = (
 )
 
 
-def _facts(state: ExtrinsicState) -> Iterator[Block]:
-    """Yield what a vehicle shows in words."""
-    counts = f"{state.checks}, {state.usable} with an estimate, {state.unreadable} unreadable, {state.frames} frames"
-    rows = [
-        ("state", _WORDS[state.status]),
-        ("reason", state.reason),
-        ("checks", counts),
-        ("extrinsic", state.extrinsic),
-    ]
-    rows += [("service", state.service)] if state.service else []
-    alarm = state.alarm
-    if alarm is None:
-        yield html.facts(rows)
-        return
-    first, last = _short_time(alarm.since_first), _short_time(alarm.since_last)
-    rows.append(("since", f"{_short_time(alarm.since)} UTC (95 %: {first} to {last})"))
-    shown = f"{alarm.checks} checks with {alarm.frames} frames; logs: {', '.join(alarm.proof)}"
-    rows.append(("shown by", shown))
-    if alarm.systematic:
-        text = "all vehicles of this type have this error: the nominal extrinsic of the type is wrong"
-        rows.append(("systematic", text))
-    yield html.facts(rows)
-    yield html.code(matrix_text(alarm.proposal), f"proposal: proposals/{proposal_name(state)}", paste=True)
+def _alarm(name: str, of: Callable[[Alarm], Any]) -> Column:
+    """Return a column that a row opens with, of extrinsics with an alarm."""
+    return Column(name, off=True, of=lambda one: None if one.alarm is None else of(one.alarm))
+
+
+def _proposal(state: ExtrinsicState) -> list[Block]:
+    if state.alarm is None:
+        return []
+    title = f"proposal: proposals/{proposal_name(state)}"
+    return [html.code(matrix_text(state.alarm.proposal), title, paste=True)]
 
 
 def _history(state: ExtrinsicState) -> Iterator[Block]:

@@ -149,6 +149,7 @@ class Table {
 
   fill(columns) {
     const { spec } = this, group = this.place(spec.group), lines = [];
+    this.visible = columns;
     let last;
     for (const row of this.order.slice(0, this.most)) {
       if (spec.group && valueOf(row.cells[group]) !== last) {
@@ -218,8 +219,9 @@ function openRow(table, row) {
   }
   opened = { table, row };
   at("detail-title").textContent = target.title ?? textsOf(row.cells[0], {})[0];
-  const hidden = (table.every ? [] : table.hidden ?? []).map((i) => [heading(table.columns[i]), textsOf(row.cells[i], table.columns[i]).filter(Boolean).join(" ")]);
-  const show = (blocks) => at("detail-body").replaceChildren(...(hidden.length ? [BLOCKS.facts({ rows: hidden.sort() })] : []), ...drawn(blocks));
+  const hidden = [...table.columns.keys()].filter((i) => !table.visible.includes(i) && table.columns[i].name !== table.spec.group && valueOf(row.cells[i]) !== null && row.cells[i] !== "")
+    .map((i) => [heading(table.columns[i]), textsOf(row.cells[i], table.columns[i]).filter(Boolean).join(" ")]);
+  const show = (blocks) => at("detail-body").replaceChildren(...(hidden.length ? [BLOCKS.facts({ rows: hidden })] : []), ...drawn(blocks));
   show(target.blocks ?? [{ kind: "text", text: "loading" }]);
   if (target.file !== undefined) load(target.file).then((entries) => {
     if (opened?.row === row) show(entries ? entries[target.place] : [{ kind: "text", text: `data/${target.file}.js cannot be read; the folder data belongs to this page`, look: "bad" }]);
@@ -281,16 +283,17 @@ function scaleOf(axis, values, from, end, zoom) {
 
 // The series of a plot of table rows: one for each name, joined where `join` is the same.
 function seriesOf(panel, table) {
-  const [x, y, name, join] = [panel.x.column, panel.y.column, panel.name, panel.join].map((column) => table.place(column));
+  const [x, y, name] = [panel.x.column, panel.y.column, panel.name].map((column) => table.place(column));
+  const join = (panel.join ?? []).map((column) => table.place(column));
   const groups = new Map();
   for (const row of table.order) {
-    const key = `${valueOf(row.cells[name])}\n${join < 0 ? row.place : JSON.stringify(row.cells[join])}`;
+    const key = `${valueOf(row.cells[name])}\n${join.length ? JSON.stringify(join.map((i) => row.cells[i])) : row.place}`;
     if (known(valueOf(row.cells[y])) && valueOf(row.cells[x]) !== null) groups.set(key, [...(groups.get(key) ?? []), row]);
   }
   if (panel.x.categories) panel.x.names = [...new Set([...groups.values()].flat().map((row) => valueOf(row.cells[x])))];
   const position = (row) => (panel.x.categories ? panel.x.names.indexOf(valueOf(row.cells[x])) : Number(valueOf(row.cells[x])));
   return [...groups.values()].map((rows) => rows.sort((a, b) => position(a) - position(b))).map((rows) => ({
-    name: valueOf(rows[0].cells[name]), form: join < 0 ? "points" : "line", x: rows.map(position), y: rows.map((row) => valueOf(row.cells[y])),
+    name: valueOf(rows[0].cells[name]), form: join.length ? "line" : "points", x: rows.map(position), y: rows.map((row) => valueOf(row.cells[y])),
     low: rows.map((row) => row.cells[y].lo), high: rows.map((row) => row.cells[y].hi), text: rows.map((row) => textsOf(row.cells[0], {})[0]), open: (n) => openRow(table, rows[n]),
   }));
 }

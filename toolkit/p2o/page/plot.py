@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, Literal
 
 from p2o.page.page import Block, brief
@@ -65,41 +65,26 @@ class Panel:
     height: int | None = None
 
 
-@dataclass(frozen=True)
-class TablePanel:
-    """A plot of the rows of a table that its filters show, from the columns `x` and `y` (with intervals, if any).
-
-    `name` is the column of the names of series, `join` that of the rows whose points are joined. The axes are
-    logarithmic, except for an x of `categories`; with `diagonal` there is a line of equal values.
-    """
-
-    x: str
-    y: str
-    name: str
-    title: str
-    note: str = ""
-    x_title: str = ""
-    y_title: str = ""
-    join: str = ""
-    categories: bool = False
-    diagonal: bool = False
-
-
 def plot(panels: Sequence[Panel], *, least: int = 420) -> Block:
     """Return the block of panels side by side, each at least `least` px wide, with one legend."""
     return {"kind": "plot", "panels": [_plain(panel) for panel in panels], "least": least}
 
 
-def plot_of_table(table: str, panels: Sequence[TablePanel]) -> Block:
-    """Return the block of plots of the rows of a table, which is before it on the page."""
-    plain = []
-    for panel in panels:
-        x = {"column": panel.x, "title": panel.x_title or panel.x, "log": not panel.categories}
-        y = {"column": panel.y, "title": panel.y_title or panel.y, "log": True}
-        words = {name: value for name, value in asdict(panel).items() if name in ("name", "title", "note", "diagonal")}
-        x |= {"categories": True} if panel.categories else {}
-        plain.append({**words, "x": x, "y": y, "join": panel.join or None})
-    return {"kind": "plot", "table": table, "panels": plain}
+def plot_of_table(table: str, panels: Sequence[dict[str, Any]]) -> Block:
+    """Return the block of plots of the rows of a table that its filters show; the table is before it on the page."""
+    return {"kind": "plot", "table": table, "panels": panels}
+
+
+def table_panel(title: str, x: str, y: str, name: str, titles: tuple[str, str], **words: Any) -> dict[str, Any]:
+    """Return a plot of the columns `x` and `y` of a table, with intervals if they have any, on logarithmic axes.
+
+    `name` is the column of the names of series, `titles` those of the axes. Further words: `join`, the columns that
+    rows whose points are joined have in common; `categories`, True for an x of names; `diagonal`, True for a line of
+    equal values; `note`.
+    """
+    is_log = not words.pop("categories", False)
+    x_axis = {"column": x, "title": titles[0], "log": is_log, "categories": not is_log}
+    return {"title": title, "name": name, "x": x_axis, "y": {"column": y, "title": titles[1], "log": True}, **words}
 
 
 def _plain(panel: Panel) -> Mapping[str, Any]:

@@ -18,7 +18,7 @@ from p2o.host.registry import Registry
 from p2o.host.slots import KIND_OF
 from p2o.page import page as html
 from p2o.page.page import Block, Column, brief, cell
-from p2o.page.plot import TablePanel, plot_of_table
+from p2o.page.plot import plot_of_table, table_panel
 from p2o.run.fit import FRAME_CONTENT
 from p2o.run.recipe import Recipe
 
@@ -86,11 +86,11 @@ def line_columns() -> list[Column]:
         Column("frames", off=True, of=lambda one: one.frames[1]),
         Column("family", off=True, of=lambda one: one.family),
         Column("needs", off=True, of=lambda one: one.needs or [NO_NEEDS]),
-        Column("words", off=True, of=lambda one: " ".join(one.method.words.values())),
+        Column("method words", off=True, of=lambda one: ", ".join(f"{k} {v}" for k, v in one.method.words.items())),
+        Column("source", off=True, of=lambda one: one.method.source or None),
+        *(Column(f"{name_of(n)} of solved [{unit_of(n)[0]}]", off=True, of=partial(_solved, norm=n)) for n in NORMS),
         Column("name", off=True, of=lambda one: one.name),
         Column("compared", off=True, of=lambda one: cell(one.heading, one.heading, one.suite.suite.question)),
-        Column("same but frames", off=True, of=lambda one: f"{one.same} {one.protocol}"),
-        Column("same but initial error", off=True, of=lambda one: f"{one.same} {one.frames}"),
         *(Column(_STARTS[norm], off=True, of=partial(_start, norm=norm)) for norm in NORMS),
     ]
 
@@ -110,6 +110,11 @@ def _median(line: _Line, norm: str) -> float | None:
     return None if median is None else brief(unit_of(norm)[1] * median)
 
 
+def _solved(line: _Line, norm: str) -> Any:
+    value, (_, factor, digits) = line.summary.solved_only.get(norm), unit_of(norm)
+    return None if value is None else cell(brief(factor * value), html.number_text(factor * value, digits))
+
+
 def _covered(line: _Line, names: tuple[str, str]) -> Any:
     coverage = line.summary.coverage
     shares = [getattr(coverage, name) / coverage.count for name in names] if coverage.count else []
@@ -119,26 +124,6 @@ def _covered(line: _Line, names: tuple[str, str]) -> Any:
 def _start(line: _Line, norm: str) -> float | None:
     values = line.runs[f"start_{norm}"]
     return None if np.isnan(values).all() else brief(float(np.nanmean(values)))
-
-
-def line_facts(line: _Line) -> Block:
-    """Return method, data and errors of a row."""
-    summary, coverage = line.summary, line.summary.coverage
-    errors = []
-    for norm in NORMS:
-        unit, factor, digits = unit_of(norm)
-        mean = summary.mean.get(norm)
-        known = (None if mean is None else mean.value, summary.median.get(norm), summary.solved_only.get(norm))
-        texts = [html.number_text(None if value is None else factor * value, digits) for value in known]
-        errors.append((f"{name_of(norm)} [{unit}]", "mean {}, median {}, solved only {}".format(*texts)))
-    if coverage.count:
-        errors += [("coverage 67 %", coverage.text_67), ("coverage 95 %", coverage.text_95)]
-    method = [*line.method.words.items(), ("family", line.family), ("needs", ", ".join(line.needs) or NO_NEEDS)]
-    method += [("source", line.method.source)] if line.method.source else []
-    count = f"{summary.count} on {summary.groups} independent groups, {summary.refused} refused"
-    data = [("suite", line.suite.name), ("compared", line.heading), ("calibrations", count)]
-    parts = {"Method": method, "Data": data, "Error": errors}
-    return html.grid(*(html.part(title, html.facts(rows)) for title, rows in parts.items()), least=300)
 
 
 RUN_COLUMNS = html.columns_of(
@@ -201,7 +186,7 @@ class Written:
 class _Line:
     """One row of the page: the runs of a label on one dataset from one initial error.
 
-    `name` and `number` are those of its method in the suite, `top_group` its top group by norm, `data_title` the
+    `name` is the common name of the rows of its method, `top_group` its top group by norm, `data_title` the
     dataset with its sensors.
     """
 
@@ -210,7 +195,6 @@ class _Line:
     runs: Runs
     clusters: Int
     name: str = ""
-    number: int = 0
     family: str = ""
     needs: Sequence[str] = ()
     data_title: str = ""
@@ -252,11 +236,6 @@ class _Line:
     def heading(self) -> str:
         """What rows have in common that are compared, as text."""
         return f"{self.data_title}, {self.frames_text}, from {self.protocol}"
-
-    @property
-    def same(self) -> str:
-        """Equal for two rows of one method on one dataset of a suite."""
-        return json.dumps([self.suite.name, self.dataset, self.number])
 
     @property
     def comparable(self) -> tuple[str, str, str, int]:
@@ -318,7 +297,7 @@ def write_page(
                 if size > MAX_BYTES:
                     break
                 file = f"{suite.name}-{len(rows)}"
-                facts = [line_facts(line), *(_card(shared, title, card) for title, card in known.items())]
+                facts = [_card(shared, title, card) for title, card in known.items()]
                 html.write_data(folder, file, [[*facts, *_runs(line, overlays, shared)]])
                 opens.append(html.detail_of_file(f"{line.label}: {line.heading}", file))
                 described |= known
@@ -412,35 +391,27 @@ def _both_means(by_method: Mapping[Any, Mapping[str, _Line]], heading: str, key:
 
 def _plots(norm: str) -> Block:
     """Return the plots of the mean error of a norm over what it depends on."""
-    y, unit = f"{name_of(norm)} mean", unit_of(norm)[0]
-    panel = TablePanel(
-        "time", y, "name", "over time", y_title=f"{name_of(norm)} error [{unit}]", x_title="median time [s]"
-    )
-    start = f"mean initial {name_of(norm)} error [{'deg' if unit == 'deg' else 'm'}]"
+    y, title = f"{name_of(norm)} mean", f"{name_of(norm)} error [{unit_of(norm)[0]}]"
+    start = (f"mean initial {name_of(norm)} error [{norm.rpartition('_')[2]}]", title)
+    same, below = ("suite", "data set", "name"), "Below the dashed line the error became smaller."
+    note = "Lines connect rows of one method on one data set from one initial error."
     return plot_of_table(
         "rows",
         [
-            replace(panel, note="Mean error and median seconds of a calibration."),
-            replace(
-                panel,
-                x="frames",
-                x_title="frames",
-                title="over number of frames",
-                join="same but frames",
-                note="Lines connect rows of one method on one data set from one initial error.",
+            table_panel("over time", "time", y, "name", ("median time of a calibration [s]", title)),
+            table_panel(
+                "over number of frames",
+                "frames",
+                y,
+                "name",
+                ("frames", title),
+                join=(*same, "initial error"),
+                note=note,
             ),
-            replace(
-                panel,
-                x=_STARTS[norm],
-                x_title=start,
-                title="over initial error",
-                join="same but initial error",
-                diagonal=True,
-                note="Below the dashed line the error became smaller.",
+            table_panel(
+                "over initial error", _STARTS[norm], y, "name", start, join=(*same, "frames"), diagonal=True, note=below
             ),
-            replace(
-                panel, x="data set", x_title="", title="over data set", categories=True, note="Bars are 95 % intervals."
-            ),
+            table_panel("over data set", "data set", y, "name", ("", title), categories=True),
         ],
     )
 
@@ -454,9 +425,8 @@ def _compared(suite: SuiteFile, outcomes: Outcomes) -> list[list[_Line]]:
     labels: dict[str, list[str]] = {}
     for line in lines:
         labels.setdefault(line.same_method, []).append(line.label)
-    for number, (method, own) in enumerate(labels.items()):
-        for line in (line for line in lines if line.same_method == method):
-            line.name, line.number = common_name(own), number
+    for line in lines:
+        line.name = common_name(labels[line.same_method])
     lines.sort(key=lambda line: (line.comparable, order.get(line.label, len(order)), line.label))
     return [list(some) for _, some in groupby(lines, key=lambda line: line.comparable)]
 
