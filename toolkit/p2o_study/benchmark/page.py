@@ -91,7 +91,7 @@ def line_columns() -> list[Column]:
         *(Column(f"{name_of(n)} of solved [{unit_of(n)[0]}]", off=True, of=partial(_solved, norm=n)) for n in NORMS),
         Column("name", off=True, of=lambda one: one.name),
         Column("compared", off=True, of=lambda one: cell(one.heading, one.heading, one.suite.suite.question)),
-        *(Column(_STARTS[norm], off=True, of=partial(_start, norm=norm)) for norm in NORMS),
+        *(Column(_STARTS[n], n.rpartition("_")[2], off=True, of=partial(_start, norm=n)) for n in NORMS),
     ]
 
 
