@@ -33,6 +33,7 @@ SYSTEM = {
     "tests/p2o_study/test_benchmark_bundle.py",
     "tests/p2o_study/test_smoke_poses.py",
     "tests/p2o_study/test_trouble.py",
+    "tests/test_all_pages.py",
     "tests/test_benchmark_page_browser.py",
     "tests/test_data_show.py",
     "tests/test_distribution.py",

@@ -45,6 +45,7 @@ FLOORS = (
     {"features"},
     {"results"},
     {"problems", "draw"},
+    {"page"},
     {"host"},
     {"calibration", "cache", "training_loop"},
     {"confidence"},

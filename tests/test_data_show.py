@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -12,6 +11,8 @@ import pytest
 from p2o.cli import main
 from p2o.frames.selection import spread
 from p2o_testing import stage
+
+from tests.page_description import blocks, description
 
 STAGE = ["--plugin", str(Path(__file__).with_name("stage_plugin.py"))]
 
@@ -34,8 +35,7 @@ def test_show_writes_a_picture_a_frame_and_a_page_and_says_so(
         assert str(tmp_path / "new" / name) in out
     assert "points in the image, at the calibration that the data give" in out
     html = (tmp_path / "new" / "index.html").read_text()
-    assert html.count('<img src="data:image/jpeg;base64,') == 2
-    assert "http" not in html.replace("http-equiv", "")
+    assert [one["source"][:23] for one in blocks(description(html), "image")] == ["data:image/jpeg;base64,"] * 2
 
 
 def test_the_picture_shows_the_sweep_by_range_above_reflectance(tmp_path: Path) -> None:
@@ -105,22 +105,6 @@ def test_a_bad_frame_does_not_keep_the_others_from_being_shown(
     assert "drive/0001: not shown" in captured.err
     assert "2 frames" in captured.out
     assert len(list(tmp_path.glob("*.png"))) == 2
-
-
-@pytest.mark.parametrize("width", [1200, 390])
-def test_the_page_of_sweeps_stands_in_a_browser(tmp_path: Path, browser: Any, width: int) -> None:
-    from tests.in_browser import Page, window
-
-    names = json.dumps(["<script>stolen=1</script>" + 80 * "x", "two"])
-    assert main(["data", "show", "fake:", *STAGE, "--set", f"data.names={names}", "--out", str(tmp_path)]) == 0
-    with window(browser, width, 800):
-        page = Page(browser, tmp_path / "index.html")
-        page.until_equal(lambda: page.run("return innerWidth"), width)
-        page.until(lambda: page.run("return [...document.images].every((image) => image.naturalWidth > 0)"))
-        page.until(lambda: page.run("return document.documentElement.scrollWidth") <= width, "scrolling sideways")
-        assert page.run("return typeof stolen") == "undefined"
-        assert page.complaints() == []
-        assert page.requests() == []
 
 
 # ---- suggest

@@ -101,7 +101,7 @@ def test_the_wheel_says_what_it_is_and_what_it_needs(wheel: Path) -> None:
     assert said["License-Expression"] == "Apache-2.0 AND CC-BY-NC-SA-3.0"  # code, and weights trained on KITTI
     assert said["Description-Content-Type"] == "text/markdown"
     assert "# p2o" in said.get_payload()
-    assert {"ros", "las", "report", "docs"} <= set(said.get_all("Provides-Extra"))
+    assert {"ros", "las", "view", "docs"} <= set(said.get_all("Provides-Extra"))
 
 
 @pytest.mark.parametrize("name", ["docs", "tests", "benchmarks"])

@@ -77,12 +77,12 @@ def test_a_missing_or_old_dependency_fails_with_the_command_that_gets_it(
 def test_a_missing_extra_is_no_failure_and_names_its_packages(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    lacking(monkeypatch, plotly=None)
+    lacking(monkeypatch, viser=None)
     status, said = found(capsys, "--quick")
     assert status == 0
-    report = named(said, "report")
-    assert report["state"] == "absent"
-    assert report["advice"] == 'pip install "plotly>=6"'
+    view = named(said, "view")
+    assert view["state"] == "absent"
+    assert view["advice"] == 'pip install "viser>=1.1"'
 
 
 @pytest.mark.parametrize(("dist", "status"), [("acme-p2o", 0), ("p2o-calib", 1)])

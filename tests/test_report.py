@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from p2o import InputError, Registry, UnknownNameError
 from p2o.cli import main
+from p2o.page.plot import Panel
 from p2o.results.figures import figure_lines
 from p2o.results.verdict import Trust
 from p2o_study.report import write_report
@@ -31,6 +32,7 @@ from p2o_study.summary import Summary, summarised
 from p2o_study.tables import report_latex, report_markdown
 
 from tests.fake_study import PLUGIN, PUBLISHED, rounds, run_of, staged, table2, toml_of, write_store
+from tests.page_description import blocks, column, description, table, texts
 
 HEAD = 'name = "table2"\ntitle = "T"\n'
 DATA = '[[dataset]]\nname = "kitti"\ndata = "kitti:"\n'
@@ -352,7 +354,6 @@ def test_verdicts_are_counted_in_tables_where_there_are_any() -> None:
 
 
 def test_costs_that_are_not_finite_are_no_figures(tmp_path: Path) -> None:
-    pytest.importorskip("plotly")
     first, second = rounds((900, 18.0))
     run = run_of(
         "a", "f0", 0, 1.0, 0.1, rounds=(first, replace(second, cost=math.inf), replace(second, mean_residual=math.inf))
@@ -377,16 +378,17 @@ def test_a_run_that_has_ended_keeps_its_last_round() -> None:
     assert convergence_of([run_of("a", "f", 0, 1.0, 0.1, rounds=rounds())]) is None
 
 
+def panels_of(kind: str, runs: list[Row]) -> list[Panel]:
+    """Return the panels of a figure of a study."""
+    [figure] = [figure for name, _, figure in figures_of(summary_of(runs)) if name == f"table2-{kind}"]
+    return list(figure.panels)
+
+
 def test_a_box_shows_the_quartiles_of_the_signed_errors() -> None:
     turns = [-3.0, -1.5, 0.0, 1.5, 3.0]
-    runs = [run_of("a", f"f{i}", 0, turn, 0.1) for i, turn in enumerate(turns)]
-    [figure] = [f for name, _, f in figures_of(summary_of(runs)) if name == "table2-boxplot"]
-    roll = figure.axes[0]
-    assert roll.get_xlabel() == "roll [deg]"
-    [box] = roll.patches
-    ends = box.get_path().vertices[:, 0]
-    assert np.allclose(sorted({round(x, 9) for x in ends}), [-1.0, 1.0]), "2/3 of the turns, their quartiles -1.5, 1.5"
-    assert [text.get_text() for text in roll.get_yticklabels()] == ["a"]
+    roll = panels_of("boxplot", [run_of("a", f"f{i}", 0, turn, 0.1) for i, turn in enumerate(turns)])[0]
+    assert (roll.x.title, roll.y.names) == ("roll [deg]", ["a"])
+    assert np.allclose(roll.series[0].x, [[-2, -1, 0, 1, 2]]), "2/3 of the turns"
 
 
 def test_an_axis_is_logarithmic_where_the_medians_of_rows_are_more_than_twenty_times_apart() -> None:
@@ -404,57 +406,48 @@ def test_boxes_of_rows_that_differ_much_are_on_one_logarithmic_axis_without_sign
     turns = [-3.0, -1.5, 0.0, 1.5, 3.0]
     rows = [("a", 1), ("b", factor)]
     runs = [run_of(row, f"f{i}", 0, times * turn, 0.1) for row, times in rows for i, turn in enumerate(turns)]
-    [figure] = [f for name, _, f in figures_of(summary_of(runs)) if name == "table2-boxplot"]
-    angles, lengths = figure.axes[:3], figure.axes[3:]
-    assert {panel.get_xscale() for panel in angles} == {scale}
-    assert {panel.get_xscale() for panel in lengths} == {"linear"}, "their shifts are alike"
-    assert len({panel.get_xlim() for panel in angles}) == 1
-    low, high = angles[0].get_xlim()
+    panels = panels_of("boxplot", runs)
+    angles, lengths = panels[:3], panels[3:]
+    assert {panel.x.log for panel in angles} == {scale == "log"}
+    assert not any(panel.x.log for panel in lengths), "their shifts are alike"
+    assert len({(panel.x.low, panel.x.high) for panel in angles}) == 1
     if scale == "log":
-        assert angles[0].get_xlabel() == "|roll| [deg]"
-        assert 0 < low <= 0.5
-        assert high >= 2 * factor, "the largest roll is 2/3 of the turn of 3 deg"
-        assert list(angles[0].texts) == [], "nothing is beyond the axis"
+        assert angles[0].x.title == "|roll| [deg]", "nothing is beyond the axis"
+        assert angles[0].series[1].x[0][4] == 2 * factor, "the largest roll is 2/3 of the turn of 3 deg"
     else:
-        assert low == -high
+        assert angles[0].x.low == -angles[0].x.high
 
 
 def test_rounds_are_logarithmic_where_rows_end_far_from_each_other() -> None:
     ends = {"a": [(900, 18.0), (400, 0.1)], "b": [(900, 18.0), (500, 3.0)]}
     runs = [run_of(row, "f", 0, 1.0, 0.1, rounds=rounds(*history)) for row, history in ends.items()]
-    [figure] = [f for name, _, f in figures_of(summary_of(runs)) if name == "table2-convergence"]
-    assert [panel.get_yscale() for panel in figure.axes] == ["linear", "log"]
+    assert [panel.y.log for panel in panels_of("convergence", runs)] == [False, True]
 
 
-def test_points_beyond_the_axes_are_counted_at_the_rim() -> None:
+def test_points_beyond_the_axes_are_counted_in_its_title() -> None:
     runs = [run_of("a", f"f{i}", 0, 0.1 * (i % 5), 0.1) for i in range(20)] + [run_of("a", "x", 0, 90.0, 0.1)]
-    [figure] = [f for name, _, f in figures_of(summary_of(runs)) if name == "table2-boxplot"]
-    assert [text.get_text() for text in figure.axes[0].texts] == ["1 >"]
+    assert panels_of("boxplot", runs)[0].x.title == "roll [deg]; 1 of 21 runs beyond"
 
 
 def test_frames_are_shown_with_the_median_and_range_of_their_seeds() -> None:
-    [figure] = [f for name, _, f in figures_of(summary_of(frames(3, "a", [1.0, 2.0, 4.0]))) if name == "table2-frames"]
-    panel = figure.axes[0]
-    assert np.allclose(panel.lines[0].get_xdata(), [2, 2, 2])
-    assert np.allclose([segment[:, 0] for segment in panel.collections[0].get_segments()], [[1, 4]] * 3)
+    [series] = panels_of("frames", frames(3, "a", [1.0, 2.0, 4.0]))[0].series
+    assert np.allclose([series.low, series.x, series.high], [[1, 1, 1], [2, 2, 2], [4, 4, 4]])
 
 
 def test_hundreds_of_frames_are_ranked() -> None:
-    runs = [run_of("a", f"f{i}", 0, 0.5 + i / 2, 0.1) for i in range(200)]
-    [figure] = [f for name, _, f in figures_of(summary_of(runs)) if name == "table2-frames"]
-    line = figure.axes[0].lines[0]
-    assert np.allclose(line.get_xdata(), 0.5 + np.arange(200) / 2)
-    assert np.allclose(line.get_ydata(), 1 + np.arange(200))
+    [series] = panels_of("frames", [run_of("a", f"f{i}", 0, 0.5 + i / 2, 0.1) for i in range(200)])[0].series
+    assert np.allclose(series.x, 0.5 + np.arange(200) / 2)
+    assert list(series.y) == list(range(1, 201))
 
 
 def test_names_are_no_formulas() -> None:
     """matplotlib reads $...$ as mathematics and refuses what is none."""
     pytest.importorskip("matplotlib")
     runs = frames(5, r"$\nonsense{$", [1.0])
-    from p2o_study.report.figures import rendered
+    from p2o.page.figure import drawn, figure_files
 
     for _, _, figure in figures_of(summary_of(runs, more="note = '$x$ $\\frac$'\n")):
-        assert rendered(figure)["png"].startswith(b"\x89PNG")
+        assert figure_files(drawn(figure))["png"].startswith(b"\x89PNG")
 
 
 # ---- the worst run of a row
@@ -538,13 +531,13 @@ def test_the_median_predicted_error_of_a_row_is_in_its_tables() -> None:
 @pytest.fixture
 def blank_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Write empty figures, in tests of other parts of a report: drawing takes most of its time."""
-    monkeypatch.setattr("p2o_study.report.figures.rendered", lambda figure: {"png": b"", "svg": b""})
+    monkeypatch.setattr("p2o.page.figure.drawn", lambda figure: None)
+    monkeypatch.setattr("p2o.page.figure.figure_files", lambda figure: {"png": b"", "svg": b""})
 
 
 @pytest.fixture(scope="module")
 def reported(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ...]:
     """The files of a report, in the folder `report` of its store."""
-    pytest.importorskip("plotly")
     return tuple(write_report(write_store(tmp_path_factory.mktemp("study"), table2(6, 2))))
 
 
@@ -571,7 +564,6 @@ def test_the_same_store_gives_the_same_bytes_in_any_process(reported: tuple[Path
 
 @pytest.mark.usefixtures("blank_figures")
 def test_the_command_names_what_it_wrote(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("plotly")
     write_store(tmp_path, table2(3, 1))
     assert main(["report", str(tmp_path), "--out", str(tmp_path / "x"), "--study", "table2"]) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -586,7 +578,6 @@ def test_the_command_explains_itself(capsys: pytest.CaptureFixture[str]) -> None
 
 @pytest.mark.usefixtures("blank_figures")
 def test_only_the_studies_that_are_named_are_reported(tmp_path: Path) -> None:
-    pytest.importorskip("plotly")
     write_store(tmp_path, table2(3, 1))
     other = HEAD.replace("T", "The other") + DATA
     write_store(tmp_path, [run_of("a", "f", 0, 1.0, 0.1)], study="other", toml=other, published=())
@@ -604,58 +595,52 @@ def drawn(folder: Path, *words: str) -> int:
     return main(["report", str(folder), "--plugin", PLUGIN, "--data", *words])
 
 
-def pictures_in(folder: Path) -> tuple[list[str], list[list[dict[str, object]]]]:
-    """Return the pictures of a page, and which of them each run shows."""
-    import json
-
-    html = (folder / "report" / "report.html").read_text()
-    data = json.loads(re.search(r'id="data">(.*?)</script>', html, re.DOTALL)[1])
-    return data["images"], [run["overlays"] for run in data["studies"][0]["groups"][0]["runs"]]
+def pictures_in(folder: Path) -> list[list[dict[str, str]]]:
+    """Return the overlays that each run of a page opens with."""
+    runs = table(description(folder / "report" / "report.html"), "runs")
+    return [blocks(opened, "slides") for opened in runs["opens"]]
 
 
 @pytest.mark.usefixtures("blank_figures")
 def test_pictures_are_drawn_from_the_users_data_worst_frames_first(tmp_path: Path) -> None:
-    pytest.importorskip("plotly")
     import base64
 
     import cv2
 
     write_store(tmp_path, staged())
     assert drawn(tmp_path, "fake:?frames=3", "--overlays", "2") == 0
-    uris, shown = pictures_in(tmp_path)
+    shown = pictures_in(tmp_path)
     assert [len(p) for p in shown] == [0, 1, 1, 0, 1, 1], "the two worst of three frames, in each row"
-    assert shown[1][0]["frame"] == "drive/0001"
-    assert len(uris) == 6, "those at the initial guess are there once: one of the edges, one of the sweep"
-    head, _, body = uris[0].partition(",")
-    assert head == "data:image/jpeg;base64"
-    before, after = (
-        cv2.imdecode(np.frombuffer(base64.b64decode(uris[shown[1][0][k]].partition(",")[2]), np.uint8), 1)
-        for k in ("before", "after")
+    assert shown[1][0]["name"] == "drive/0001"
+    uris = {one[end] for some in shown for one in some for end in ("left", "right")}
+    html = (tmp_path / "report" / "report.html").read_text()
+    assert html.count("data:image/jpeg") == len(uris) == 6, (
+        "those at the initial guess are there once, of edges and sweep"
     )
-    assert body
+    assert shown[1][0]["left"].partition(",")[0] == "data:image/jpeg;base64"
+    before, after = (
+        cv2.imdecode(np.frombuffer(base64.b64decode(shown[1][0][end].partition(",")[2]), np.uint8), 1)
+        for end in ("left", "right")
+    )
     assert before.shape == after.shape
     assert (np.abs(before.astype(int) - after) > 40).any(), "0.3 m aside moves the edges"
 
 
 @pytest.mark.usefixtures("blank_figures")
 def test_without_data_there_are_numbers_and_no_pictures(tmp_path: Path) -> None:
-    pytest.importorskip("plotly")
     write_report(write_store(tmp_path, staged()))
-    uris, shown = pictures_in(tmp_path)
-    assert uris == []
-    assert shown == [[]] * 6
+    assert pictures_in(tmp_path) == [[]] * 6
 
 
 @pytest.mark.usefixtures("blank_figures")
 def test_joint_runs_show_each_of_their_frames(tmp_path: Path) -> None:
-    pytest.importorskip("plotly")
     names = ("drive/0000", "drive/0001")
     first = staged()[0]
     case = replace(first.case, frames=tuple(replace(first.case.frames[0], name=name) for name in names), joint=2)
     one = replace(first, case=case)
     write_store(tmp_path, [one])
     assert drawn(tmp_path, "fake:") == 0
-    assert [[p["frame"] for p in shown] for shown in pictures_in(tmp_path)[1]] == [list(names)]
+    assert [[p["name"] for p in shown] for shown in pictures_in(tmp_path)] == [list(names)]
 
 
 @pytest.mark.usefixtures("blank_figures")
@@ -698,13 +683,11 @@ def refused(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
 
 
 def test_a_folder_without_rows_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("plotly")
     assert "the folder has no rows of a study" in refused(["report", str(tmp_path / "nothing")], capsys)
     assert not (tmp_path / "nothing").exists()
 
 
 def test_a_study_without_runs_is_named(tmp_path: Path) -> None:
-    pytest.importorskip("plotly")
     write_store(tmp_path, [], missing=[PlanRow("ours", "", "kitti", ("key",))])
     with pytest.raises(InputError, match=r"study 'table2' has no finished run yet.*p2o ablate table2"):
         write_report(tmp_path)
@@ -712,7 +695,6 @@ def test_a_study_without_runs_is_named(tmp_path: Path) -> None:
 
 
 def test_an_unknown_study_is_told_with_the_nearest(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("plotly")
     write_store(tmp_path, table2(1, 1))
     line = refused(["report", str(tmp_path), "--study", "tabel2"], capsys)
     assert "unknown study 'tabel2'" in line
@@ -720,7 +702,6 @@ def test_an_unknown_study_is_told_with_the_nearest(tmp_path: Path, capsys: pytes
 
 
 def test_a_folder_that_cannot_be_written_is_told_before_any_work(tmp_path: Path) -> None:
-    pytest.importorskip("plotly")
     write_store(tmp_path, table2(1, 1))
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot write the report"):
@@ -728,7 +709,6 @@ def test_a_folder_that_cannot_be_written_is_told_before_any_work(tmp_path: Path)
 
 
 def test_frames_that_the_data_lack_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("plotly")
     write_store(tmp_path, staged())
     line = refused(["report", str(tmp_path), "--plugin", PLUGIN, "--data", "fake:?frames=1"], capsys)
     assert "2 of 3 frames of dataset 'fake' are missing from the data; expected drive/0002, ...; got 1 frames" in line
@@ -736,7 +716,6 @@ def test_frames_that_the_data_lack_are_told(tmp_path: Path, capsys: pytest.Captu
 
 
 def test_frames_with_other_content_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("plotly")
     write_store(tmp_path, staged(contents={}))
     line = refused(["report", str(tmp_path), "--plugin", PLUGIN, "--data", "fake:?frames=3"], capsys)
     assert "this frame differs from that of the study" in line
@@ -744,35 +723,16 @@ def test_frames_with_other_content_are_told(tmp_path: Path, capsys: pytest.Captu
 
 @pytest.mark.parametrize("text", ["streets=fake:", "fak=fake:"])
 def test_a_dataset_that_no_study_has_is_told(text: str, tmp_path: Path) -> None:
-    pytest.importorskip("plotly")
     write_store(tmp_path, staged())
     with pytest.raises(UnknownNameError, match="expected one of: fake"):
         write_report(tmp_path, data=[text])
 
 
 def test_of_several_datasets_one_has_to_be_named(tmp_path: Path) -> None:
-    pytest.importorskip("plotly")
     other = run_of("other", "f", 0, 1.0, 0.1, dataset="streets")
     write_store(tmp_path, [*staged(), other])
     with pytest.raises(InputError, match="NAME=DATASET:PATH with a NAME of fake, streets"):
         write_report(tmp_path, data=["fake:"])
-
-
-@pytest.mark.usefixtures("blank_figures")
-def test_without_plotly_all_but_the_plots_is_written_and_one_line_says_how_to_get_them(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    write_store(tmp_path, table2(1, 1))
-    monkeypatch.setitem(sys.modules, "plotly.offline", None)
-    monkeypatch.setitem(sys.modules, "plotly", None)
-    assert main(["report", str(tmp_path)]) == 0
-    captured = capsys.readouterr()
-    [line] = captured.err.splitlines()
-    assert line.startswith("p2o: the page has no plots")
-    assert 'pip install "plotly>=6"' in line
-    names = {Path(text).name for text in captured.out.splitlines()}
-    assert {"report.html", "report.md", "report.tex", "table2-1-boxplot.svg"} <= names
-    assert (tmp_path / "report" / "report.html").stat().st_size < 200_000, "the library alone has millions"
 
 
 @pytest.mark.usefixtures("blank_figures")
@@ -782,21 +742,25 @@ def test_a_page_has_the_worst_runs_of_each_row_and_plots_of_all_runs(
     """A page of 100,000 runs would have 136 MB."""
     from p2o_study.report import page
 
-    monkeypatch.setattr(page, "_RUN_BYTES", 20_000)
+    monkeypatch.setattr(page, "_RUN_BYTES", 40_000)
     monkeypatch.setattr(page, "_MOST_POINTS", 10)
     runs = table2(12, 3)
-    text = write_report(write_store(tmp_path, runs))[0].read_text(encoding="utf-8")
-    group = json.loads(re.search(r'id="data">(.*?)</script>', text, re.DOTALL)[1])["studies"][0]["groups"][0]
-    assert group["total"] == 108 > len(group["runs"]) > 3
-    assert len(json.dumps(group["runs"])) < 20_000
-    for row, label in enumerate(group["labels"]):
+    data = description(write_report(write_store(tmp_path, runs))[0])
+    shown = table(data, "runs")
+    assert 3 < len(shown["rows"]) < 108
+    assert shown["counted"] == " runs, the worst of each row; all 108 runs are in table2.jsonl"
+    assert len(json.dumps(shown["opens"])) < 200_000
+    boxes, by_frame = (blocks(data, "plot")[number]["panels"][0] for number in (0, 2))
+    worst = table(data, "worst")
+    for row, label in enumerate(column(table(data, "rows"), "row")[:3]):
         errors = [run.error_of("rotation_deg") for run in runs if run.row == label]
-        assert np.isclose(group["boxes"]["rotation_deg"][row][2], np.median(errors), rtol=1e-5)
-        shown = [run["errors"][0] for run in group["runs"] if run["row"] == row]
-        worst = sorted(errors)[-len(shown) :]
-        assert np.allclose(sorted(shown), worst, rtol=1e-5)
-        assert group["runs"][group["worst"][row]["run"]]["errors"][0] == max(shown)
-    assert len(group["places"]) == 3, "ten points of three rows"
+        [box] = [one for one in boxes["series"] if one["name"] == label and one.get("form") == "box"]
+        assert np.isclose(box["x"][0][2], np.median(errors), rtol=1e-5)
+        pairs = zip(column(shown, "row"), column(shown, "rotation"), strict=True)
+        own = [error for name, error in pairs if name == label]
+        assert np.allclose(sorted(own), sorted(errors)[-len(own) :], rtol=1e-5)
+        assert column(shown, "rotation")[worst["opens"][row]["row"]] == max(own)
+    assert len(by_frame["y"]["names"]) == 3, "ten points of three rows"
 
 
 def test_a_page_has_the_first_of_very_many_rows() -> None:
@@ -804,7 +768,6 @@ def test_a_page_has_the_first_of_very_many_rows() -> None:
     from p2o_study.report.overlays import OverlayImages
 
     runs = [run_of(f"row {i}", "f", 0, 1.0, 0.1) for i in range(450)]
-    html = page.page([summary_of(runs)], OverlayImages(), "")
-    data = json.loads(re.search(r'id="data">(.*?)</script>', html, re.DOTALL)[1])["studies"][0]
-    assert data["note"].endswith("This page has the first 400 of 450 rows; report.md has all.")
-    assert data["groups"][0]["labels"] == [f"row {i}" for i in range(400)]
+    data = description(page.page([summary_of(runs)], OverlayImages()))
+    assert "This page has the first 400 of 450 rows; report.md has all." in texts(data)
+    assert column(table(data, "rows"), "row") == [f"row {i}" for i in range(400)]

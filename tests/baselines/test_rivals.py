@@ -68,7 +68,6 @@ def test_every_matcher_of_the_baselines_is_among_them(registry: Registry) -> Non
 def test_all_of_them_run_on_a_synthetic_frame_and_make_a_page(
     tmp_path: Path, registry: Registry, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    pytest.importorskip("plotly", reason="the extra `report` is not installed")
     words = ["ablate", "rivals", "--data", SMALL, "--seeds", "1", "--out", str(tmp_path), "--jobs", "1", "--quiet"]
     assert main(words) == 0, "none of them raised"
     told = capsys.readouterr().out

@@ -46,7 +46,7 @@ def rows_of(
     `method` are fields of the method.
     """
     its = Method("1" * 64, **{"words": {"calibrator": "quick"}, **method})
-    figures = dict(zip(PREDICTED, (0.4, math.inf, 0.8, 1.0), strict=True))
+    figures = dict(zip(PREDICTED, (0.4, 0.8, math.inf, 1.0), strict=True))
     out = []
     for group, error in enumerate(errors):
         names = [f"drive/{group * joint + number:03d}" for number in range(joint)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from p2o.draw.one_file import jpeg_uri
+from p2o.draw.image_uri import jpeg_uri
 from p2o.draw.overlay import draw_cloud
 from p2o.errors import P2OError
 from p2o.frames.selection import spread

@@ -2,27 +2,77 @@
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from markupsafe import Markup
-from p2o.arrays import Float
 from p2o.confidence.audit import AXES
-from p2o.draw.one_file import part, rendered
-from p2o.files.whole_file import write_errors, write_whole
-from p2o_study.report.page import script_json, shown_texts
+from p2o.files.whole_file import write_whole
+from p2o.page import page as html
+from p2o.page.page import Block, Column, brief, cell
+from p2o.page.plot import Axis, Panel, Series, plot
 
-from p2o_fleet.fleet_state import ExtrinsicState, FleetState, FleetStatus, ServiceChange, TypeState, amount
-from p2o_fleet.outputs import extrinsic_dict, iso, matrix_text, proposal_name, status_counts, type_text
+from p2o_fleet.fleet_state import Alarm, ExtrinsicState, FleetState, FleetStatus, ServiceChange, TypeState, amount
+from p2o_fleet.outputs import extrinsic_dict, iso, matrix_text, proposal_name, type_text
 from p2o_fleet.overlays import Overlays
 
-INDEX, DATA = "index.html", "data"
+INDEX, DATA = "index.html", html.DATA
 _PER_FILE = 50
 """Number of extrinsics whose histories are in one file."""
+_WORDS = {
+    FleetStatus.WRONG: "wrong since the first check",
+    FleetStatus.SLIPPED: "slipped",
+    FleetStatus.CANNOT_TELL: "cannot tell",
+    FleetStatus.HOLDS: "holds",
+}
+_LOOKS = dict(zip(_WORDS.values(), ("bad", "bad", "warn", "good"), strict=True))
+_IN_USE = "in use"
+_MOST_EVIDENCE = 60.0
+
+
+def columns() -> list[Column]:
+    """Return the columns of extrinsics."""
+    order = list(_WORDS.values())
+    return [
+        Column("vehicle", text=True, hide=0, of=lambda one: one.vehicle),
+        Column("state", text=True, hide=0, order=order, looks=_LOOKS, of=lambda one: _WORDS[one.status]),
+        Column("reason", text=True, of=_reason),
+        Column("largest error", hide=2, of=_largest),
+        Column("since", hide=2, of=lambda one: None if one.alarm is None else _time_cell(one.alarm.since)),
+        Column("evidence", digits=1, hide=3, of=lambda one: extrinsic_dict(one)["log_e"]),
+        Column("type", text=True, hide=4, of=lambda one: one.vehicle_type or "unnamed"),
+        Column("sensors", text=True, hide=5, of=_sensors),
+        Column("checks", hide=5, of=lambda one: one.checks),
+        Column("no estimate", hide=6, of=lambda one: one.checks - one.usable),
+        Column("last check", hide=7, of=lambda one: _time_cell(one.last)),
+        Column("extrinsics", off=True, of=lambda one: _IN_USE if one.current else "replaced"),
+        Column("service", off=True, of=lambda one: one.service),
+        Column("extrinsic", off=True, of=lambda one: one.extrinsic),
+        Column("unreadable", off=True, of=lambda one: one.unreadable),
+        _alarm("since, 95 %", lambda alarm: f"{_short_time(alarm.since_first)} to {_short_time(alarm.since_last)}"),
+        _alarm("shown by", lambda alarm: f"{alarm.checks} checks with {alarm.frames} frames"),
+        _alarm("logs", lambda alarm: ", ".join(alarm.proof)),
+    ]
+
+
+def type_columns() -> list[Column]:
+    """Return the columns of types of vehicles."""
+    return [
+        Column("type", text=True, hide=0, of=lambda one: one.vehicle_type or "unnamed"),
+        Column("sensors", text=True, hide=4, of=lambda one: f"{one.camera} and {one.lidar}"),
+        Column("vehicles", hide=2, of=lambda one: one.vehicles),
+        *(Column(axis, _printed(unit), of=partial(_type_error, axis=axis, unit=unit)) for axis, unit in AXES),
+        Column("noise", hide=3, of=lambda one: f"{min(one.noise_scale):.2f} to {max(one.noise_scale):.2f}"),
+        Column("trends", text=True, hide=3, of=lambda one: "; ".join(one.trends) or None),
+    ]
+
+
+def _reason(state: ExtrinsicState) -> str:
+    systematic = state.alarm is not None and state.alarm.systematic
+    return state.reason + (" (as all vehicles of its type)" if systematic else "")
 
 
 def write_page(state: FleetState, folder: Path, overlays: Overlays | None = None) -> Path:
@@ -30,104 +80,142 @@ def write_page(state: FleetState, folder: Path, overlays: Overlays | None = None
 
     It needs no server and loads nothing from elsewhere. Raises InputError if the folder cannot be written.
     """
-    with write_errors("the page of the fleet", folder):
-        (folder / DATA).mkdir(parents=True, exist_ok=True)
-        for path in (folder / DATA).glob("*.js"):
-            path.unlink()
+    html.prepare_data(folder)
     # Alarms first: the overlays are for the strongest ones.
     order = [*state.alarms, *(one for one in state.current if one.alarm is None)]
-    retired = [one for one in state.extrinsics if not one.current]
-    rows = []
-    for number, one in enumerate([*order, *retired]):
-        rows.append({**_row(one), "file": number // _PER_FILE, "place": number % _PER_FILE})
-    for first in range(0, len(rows), _PER_FILE):
-        histories = [_history(one, overlays) for one in [*order, *retired][first : first + _PER_FILE]]
-        text = json.dumps([first // _PER_FILE, shown_texts(histories)], separators=(",", ":"), allow_nan=False)
-        write_whole(folder / DATA / f"history-{first // _PER_FILE}.js", f"receiveHistories(...{text});\n".encode())
-    data = {
-        "rows": rows,
-        "axes": [list(axis) for axis in AXES],
-        "statuses": status_counts(state),
-        "checks": state.checks,
-        "until": iso(state.until),
-        "types": [_type(one) for one in state.types],
-        "services": [{"vehicle": one.vehicle, "text": _service_text(one)} for one in state.services],
-        "rate": state.rules.rate,
-        "tolerance": state.rules.tolerance,
-        "notice": state.rules.notice,
-    }
-    page = rendered(
-        "p2o_fleet/page.html",
-        style="p2o_study.report/page.css",
-        scripts=(part("p2o_study.report/nodes.js") + part("p2o_fleet/page.js"),),
-        script_files=True,
-        title="Fleet",
-        own_style=Markup(part("p2o_fleet/page.css")),
-        data=script_json(data),
+    order += [one for one in state.extrinsics if not one.current]
+    opens = []
+    for first in range(0, len(order), _PER_FILE):
+        name, some = f"history-{first // _PER_FILE}", order[first : first + _PER_FILE]
+        html.write_data(folder, name, [[*_proposal(one), *_history(one), *_overlays(one, overlays)] for one in some])
+        opens += [html.detail_of_file(f"{one.vehicle}: {_sensors(one)}", name, n) for n, one in enumerate(some)]
+    filters: list[str | tuple[str, str]] = ["state", "type", "sensors", ("extrinsics", _IN_USE)]
+    table = html.table(
+        columns(), order, name="rows", search=True, filters=filters, tiles="state", opens=opens, counted=" extrinsics"
     )
-    write_whole(folder / INDEX, page.encode())
+    count = f"{len(list(state.current))} extrinsics in use, {state.checks:,} checks"
+    blocks = [html.text(f"{count}, last one at {_short_time(state.until)} UTC", "quiet")]
+    blocks += [html.text(words, "notice") for words in map(type_text, state.types) if words]
+    if state.remarks:
+        blocks.append(html.section("Not read", html.items(state.remarks)))
+    types = html.table(type_columns(), state.types, name="types")
+    blocks += [table, html.section("Types", types, html.text(_TYPES, "quiet"))]
+    if state.services:
+        services = [f"{one.vehicle}: {'; '.join(_service_texts(one))}" for one in state.services]
+        blocks.append(html.section("Changes at services", html.items(services)))
+    notes = (
+        f"Alarms have a false discovery rate of {100 * state.rules.rate:g} % over the whole fleet. Constant errors up "
+        f"to {state.rules.tolerance} count as correct.",
+        f"The state is unknown if an error of {state.rules.notice} may stay undetected, or if the last checks give no "
+        "estimate.",
+        "Evidence is the natural logarithm of an e-value: 11.5 means that a correct extrinsic reaches it with a "
+        "probability of at most 1 in 100,000, however often it is checked.",
+        "Points are single checks with their 95 % intervals; the dashed line is the most likely onset of the error.",
+    )
+    blocks.append(html.section("How to read it", *(html.text(note, "quiet") for note in notes)))
+    write_whole(folder / INDEX, html.page("Fleet", blocks, script_files=True).encode())
     return folder / INDEX
 
 
-def _row(state: ExtrinsicState) -> dict[str, Any]:
-    """Return an extrinsic as a row of the overview."""
-    plain = extrinsic_dict(state)
-    names = ("vehicle", "vehicle_type", "camera", "lidar", "extrinsic", "service", "current", "status", "reason")
-    row = {name: plain[name] for name in (*names, "last", "checks", "usable", "unreadable", "frames", "log_e")}
-    row["error"], row["sigma"] = plain["error"], plain["sigma"]
-    alarm = state.alarm
-    if alarm is not None:
-        row |= {
-            "since": iso(alarm.since),
-            "sinceRange": [iso(alarm.since_first), iso(alarm.since_last)],
-            "systematic": alarm.systematic,
-            "axis": alarm.axes[0].axis,
-            "alarmChecks": alarm.checks,
-            "alarmFrames": alarm.frames,
-            "proposal": matrix_text(alarm.proposal),
-            "proposalFile": proposal_name(state),
-            "proof": list(alarm.proof),
-        }
-    return row
+def _largest(state: ExtrinsicState) -> dict[str, Any] | None:
+    """Return the largest error of an axis relative to 0.1 deg or 1 cm."""
+    if state.mean is None:
+        return None
+    sizes = [
+        abs(value) / (0.1 if unit == "deg" else 0.01) for value, (_, unit) in zip(state.mean.error, AXES, strict=True)
+    ]
+    largest = int(np.argmax(sizes))
+    axis, unit = AXES[largest]
+    return cell(brief(sizes[largest]), f"{axis} {_signed(state.mean.error[largest], unit)} {_printed(unit)}")
 
 
-def _history(state: ExtrinsicState, overlays: Overlays | None) -> dict[str, Any]:
-    """Return the history of an extrinsic by column, and its overlays."""
+def _type_error(state: TypeState, axis: str, unit: str) -> dict[str, Any] | None:
+    """Return the mean error of a type on an axis with its interval."""
+    for error in state.errors:
+        if error.axis == axis:
+            size, low, high = (_signed(value, unit) for value in (error.size, error.low, error.high))
+            is_alarm = any(alarm.axis == axis for alarm in state.alarms)
+            return cell(brief(error.size), size, f"[{low}, {high}]", "bad" if is_alarm else None)
+    return None
+
+
+_TYPES = (
+    "Mean error over the vehicles of a type, with its 95 % interval. Systematic errors that exceed the tolerance are "
+    "marked. Noise is the factor by which errors of checks vary more than predicted."
+)
+
+
+def _alarm(name: str, of: Callable[[Alarm], Any]) -> Column:
+    """Return a column that a row opens with, of extrinsics with an alarm."""
+    return Column(name, off=True, of=lambda one: None if one.alarm is None else of(one.alarm))
+
+
+def _proposal(state: ExtrinsicState) -> list[Block]:
+    if state.alarm is None:
+        return []
+    title = f"proposal: proposals/{proposal_name(state)}"
+    return [html.code(matrix_text(state.alarm.proposal), title, paste=True)]
+
+
+def _history(state: ExtrinsicState) -> Iterator[Block]:
+    """Yield the plots of the errors by axis and of the evidence over time."""
     past = state.history
-    return {
-        "time": [round(time) for time in past.time.tolist()],
-        "verdict": list(past.verdict),
-        "error": [_rounded(row) for row in past.error],
-        "sigma": [_rounded(row) for row in past.sigma],
-        "logE": [round(value, 2) if math.isfinite(value) else None for value in past.log_e.tolist()],
-        "since": None if state.alarm is None else round(state.alarm.since),
-        "overlays": overlays.of(state) if overlays is not None and state.status is not FleetStatus.HOLDS else [],
-    }
+    since = () if state.alarm is None else (float(round(state.alarm.since)),)
+    known = np.isfinite(past.error).all(axis=1)
+    times = past.time[known].round().tolist()
+    first, last = (float(past.time.min()), float(past.time.max()) + 1.0) if len(past.time) else (None, None)
+    x = Axis("", time=True, low=first, high=last)
+    panels = []
+    for number, (axis, unit) in enumerate(AXES):
+        factor = 1.0 if unit == "deg" else 100.0
+        error, half = (factor * values[known, number] for values in (past.error, 1.96 * past.sigma))
+        # All points and nine of ten intervals are inside: a single weak check has a long one.
+        reach = float(
+            max(0.3 if unit == "deg" else 3.0, *np.abs(error), np.quantile(np.abs(error) + half, 0.9)) if times else 1.0
+        )
+        bars = {
+            "low": np.clip(error - half, -reach, reach).tolist(),
+            "high": np.clip(error + half, -reach, reach).tolist(),
+        }
+        series = [Series("check", times, error.tolist(), size=0.5, **bars)] if times else []
+        scale = Axis("", low=-1.05 * reach, high=1.05 * reach)
+        panels.append(Panel(x, scale, series, title=f"{axis} [{_printed(unit)}]", marks=since, height=180))
+    evidence = [min(value, _MOST_EVIDENCE) if math.isfinite(value) else 0.0 for value in past.log_e.tolist()]
+    line = [Series("evidence", past.time.round().tolist(), evidence, "line", size=0.3)]
+    title = f"evidence of an error (log e-value, at most {_MOST_EVIDENCE:g})"
+    panels.append(Panel(x, Axis("", zero=True), line, title=title, marks=since, height=180))
+    yield plot(panels, least=360)
+    missing = int((~known).sum())
+    if missing:
+        yield html.text(f"{missing} checks without an estimate are not shown.", "quiet")
 
 
-def _rounded(values: Float) -> list[float] | None:
-    return [float(f"{value:.4g}") for value in values] if np.isfinite(values).all() else None
+def _overlays(state: ExtrinsicState, overlays: Overlays | None) -> Sequence[Block]:
+    drawn = overlays.of(state) if overlays is not None and state.status is not FleetStatus.HOLDS else []
+    ends = ("extrinsic in use", "proposed extrinsic")
+    return [html.slides(one["name"], one["before"], one["after"], ends) for one in drawn]
 
 
-def _type(state: TypeState) -> dict[str, Any]:
-    errors = [[error.axis, error.unit, error.size, error.low, error.high] for error in state.errors]
-    names = [error.axis for error in state.alarms]
-    return {
-        "name": state.vehicle_type or "unnamed",
-        "pair": f"{state.camera} and {state.lidar}",
-        "vehicles": state.vehicles,
-        "errors": errors,
-        "alarms": names,
-        "text": type_text(state),
-        "trends": list(state.trends),
-        "noise": [round(value, 2) for value in state.noise_scale],
-    }
+def _sensors(state: ExtrinsicState) -> str:
+    return f"{state.camera} and {state.lidar}"
 
 
-def _service_text(change: ServiceChange) -> str:
-    return "; ".join(_texts(change))
+def _time_cell(time: float) -> dict[str, Any]:
+    return cell(time, _short_time(time))
 
 
-def _texts(change: ServiceChange) -> Iterator[str]:
+def _short_time(time: float) -> str:
+    return iso(time).replace("T", " ")[:16]
+
+
+def _printed(unit: str) -> str:
+    return "deg" if unit == "deg" else "cm"
+
+
+def _signed(value: float, unit: str) -> str:
+    return f"{value:+.2f}" if unit == "deg" else f"{100 * value:+.1f}"
+
+
+def _service_texts(change: ServiceChange) -> Iterator[str]:
     yield f"{change.camera} and {change.lidar}, service {change.service} at {iso(change.time)}"
     yield from map(amount, change.axes)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
-from p2o.draw.plots import figure_with_panels, save_figure
 from p2o.errors import InputError
+from p2o.page.figure import figure_with_panels, save_figure
 
 _SIZE = (7.0, 4.6)
 

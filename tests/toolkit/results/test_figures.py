@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from p2o.cli.summary import describe
-from p2o.draw.run_page import run_page
+from p2o.page.run_page import run_page
 from p2o.results import figures
 from p2o.results.evidence import Agreement, Judged, Rival
 from p2o.results.figures import FIGURES, Figure, accuracy_text, figure_lines, figure_values, result_lines
@@ -24,6 +24,7 @@ from p2o_study.worker import _filled
 from p2o_testing.same import difference
 
 from tests.fake_study import run_of
+from tests.page_description import blocks, description
 
 
 def result(**values: object) -> Result:
@@ -45,8 +46,8 @@ def test_a_figure_that_is_described_in_one_place_is_in_json_terminal_page_and_st
     assert difference(result_from_json(text), calibrated) == ""
     row = Row(calibrated, None, None, None)
     assert "\n  glare     blinded 0.125 px of the image\n" in describe(row)
-    html = run_page(tmp_path, {"results": [row.as_dict()]})
-    assert '<td class="text">glare</td><td class="text">blinded 0.125 px of the image</td>' in html
+    evidence = blocks(description(run_page(tmp_path, {"results": [row.as_dict()]})), "facts")
+    assert ["glare", "blinded 0.125 px of the image"] in [line for one in evidence for line in one["rows"]]
     rows = Rows(tmp_path)
     rows.put("s", _filled(replace(run_of("ours", "f", 0, 1.0, 0.1), figures={}), calibrated))
     [stored] = rows.each("s")

@@ -60,6 +60,9 @@ if TYPE_CHECKING:
 @matcher_option
 @settings_option()
 @click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Seed of all random numbers (default: 0).")
+@click.option(
+    "--out", type=click.Path(), metavar="DIR", help="Folder of a page (check.html) and its JSON (check.json)."
+)
 @json_option
 @plugin_options
 def command(
@@ -67,6 +70,7 @@ def command(
     extrinsic: str,
     watching: bool,
     require: bool,
+    out: str | None,
     as_json: bool,
     settings: tuple[str, ...],
     plugin: tuple[str, ...],
@@ -83,12 +87,16 @@ def command(
     The extrinsic is not changed. The output states for each axis the smallest error that is detectable on these frames.
     Exit status 0 if no axis is off, 1 if any is (with --require also for cannot-tell), 2 for wrong input.
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
+    from p2o.cli.out_dir import OutDir
+    from p2o.files.whole_file import write_json, write_whole
+    from p2o.page.check_page import JSON, PAGE, check_page
     from p2o.results.check import CheckStatus
     from p2o.results.result_json import check_to_dict
     from p2o.run.check import check, watch
 
     of_watch = {name: words.pop(name) for name in ("alarms_per_hour", "rate_hz", "settle")}
     _check_words(watching, words["notice"], of_watch)
+    folder = None if out is None else OutDir.prepared(out).root
     with status_line("checking", quiet=as_json) as show, long_work(show) as work:
         work("checking the extrinsic")
         words |= {"options": settings or None, "registry": load(plugin, block)}
@@ -99,6 +107,9 @@ def command(
             check_result = watch(data, extrinsic, **words)
         else:
             check_result = check(data, extrinsic, **words)
+    if folder is not None:
+        write_json(folder / JSON, check_to_dict(check_result))
+        write_whole(folder / PAGE, check_page(check_result, describe_check(check_result)).encode())
     if as_json:
         print_json(check_to_dict(check_result))
     else:

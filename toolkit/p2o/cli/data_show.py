@@ -42,10 +42,10 @@ def command(
     """
     from p2o.cli.out_dir import OutDir
     from p2o.draw.overlay import write_png
-    from p2o.draw.sweep_page import PAGE, ShownSweep, sweep_page
     from p2o.files.file_names import distinct_names
     from p2o.files.whole_file import write_whole
     from p2o.frames.selection import select, spread
+    from p2o.page.sweep_page import PAGE, ShownSweep, sweep_page
     from p2o.run.given_pose import GivenPose
     from p2o.run.recipe import Recipe, open_dataset
     from p2o.run.words import parse_settings

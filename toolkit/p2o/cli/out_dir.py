@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from p2o.draw.run_page import IN_ROOT, PAGE, RESULT, ROUNDS, RUN, run_page
 from p2o.errors import InputError
 from p2o.files.input_file import expanded
 from p2o.files.whole_file import make_writable, write_errors, write_json, write_whole
 from p2o.frames.scale import image_at_scale
+from p2o.page.run_page import IN_ROOT, PAGE, RESULT, ROUNDS, RUN, run_page
 from p2o.results.result import Status
 
 if TYPE_CHECKING:
@@ -106,9 +106,10 @@ class OutDir:
 
     def _draw(self, home: Path, progress: Progress, result: Result) -> None:
         """Write the convergence plot, and the overlays and the coloured cloud of every frame."""
-        from p2o.draw import plots
+        from p2o.page.convergence import convergence
+        from p2o.page.figure import write_figure
 
-        plots.convergence(result, home / ROUNDS)
+        write_figure(convergence(result), home / ROUNDS)
         for frame in progress.frames:
             folder = self.root / self.folders[frame.name]
             folder.mkdir(parents=True, exist_ok=True)

@@ -71,9 +71,9 @@ def command(
     sweep on the image; sliders turn and shift it. Ctrl-C here ends it. With --host 0.0.0.0 everyone who reaches this
     machine sees your frames: there is no password. Needs viser: pip install "viser>=1.1".
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
-    from p2o.draw.run_page import RUN
     from p2o.files.input_file import expanded
     from p2o.frames.selection import select
+    from p2o.page.run_page import RUN
     from p2o.run.given_pose import GivenPose
     from p2o.run.recipe import Recipe, open_dataset
     from p2o.run.words import named_data, parse_settings
@@ -137,9 +137,9 @@ class ShownRun:
     @classmethod
     def of(cls, root: Path) -> ShownRun:
         """Read run.json in a folder; raises InputError for any other folder."""
-        from p2o.draw.run_page import RUN
         from p2o.files.input_file import naming, read_text
         from p2o.files.parsed_text import parse_json
+        from p2o.page.run_page import RUN
         from p2o.results.result_json import result_from_dict
 
         path = root / RUN

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from p2o.draw.one_file import jpeg_uri
+from p2o.draw.image_uri import jpeg_uri
 from p2o.errors import P2OError
 from p2o.host.registry import Registry
 from p2o.run.words import split_data

@@ -1,23 +1,23 @@
-"""The rows of all suites as one page that works offline: tables with top groups, plots, and single runs on demand."""
+"""The rows of all suites as one page that works offline: families, tables with top groups, plots, runs on demand."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from itertools import groupby, takewhile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from markupsafe import Markup
-from p2o.draw.one_file import part, rendered
-from p2o.errors import InputError, P2OError
+from p2o.errors import P2OError
 from p2o.files.whole_file import write_whole
 from p2o.host.registry import Registry
 from p2o.host.slots import KIND_OF
-from p2o.results.result import Status
+from p2o.page import page as html
+from p2o.page.page import Block, Column, brief, cell
+from p2o.page.plot import plot_of_table, table_panel
 from p2o.results.verdict import Trust
 from p2o.run.fit import FRAME_CONTENT
 from p2o.run.recipe import Recipe
@@ -26,22 +26,19 @@ from p2o_study.benchmark.overlays import Overlays
 from p2o_study.benchmark.suite import SuiteFile
 from p2o_study.benchmark.tables import NOTE
 from p2o_study.compare import family_of
-from p2o_study.report.figures import COLOURS
-from p2o_study.report.page import brief, script_json, shown_texts
-from p2o_study.row import NORMS, PREDICTED, Method, Row, place_of
+from p2o_study.row import NORMS, Method, Row
 from p2o_study.rows import Rows
 from p2o_study.statistics import BOUNDS, WRONG, WRONG_TEXT, Interval, Statistics, brief_seconds, top_groups
 from p2o_study.study import DatasetTable
+from p2o_study.tables import name_of, unit_of
 
-STATUSES, TRUSTS = tuple(Status), tuple(Trust)
-INDEX, DATA = "index.html", "data"
+INDEX = "index.html"
 MAX_BYTES = 4_000_000
 """Maximum size of the rows on the page, as JSON: the page stays below 5 MB."""
 MAX_ROWS = 4000
-_AT_ONCE = 2000
-"""Number of runs of a file that the page loads."""
 EXTERNAL, UNKNOWN = "external", "not installed"
 """Families of methods outside p2o, and of methods that are not installed here."""
+NO_NEEDS = "nothing beyond image and sweep"
 GROUPS_NOTE = (
     "Groups are top groups: methods whose 95 % intervals overlap, also through a third one, are in one group, which "
     "has no order. Only methods on the same frames, from the same initial error and with the same number of frames "
@@ -50,6 +47,124 @@ GROUPS_NOTE = (
 )
 Card = Mapping[str, str]
 """A data card: texts by their heading, such as "sensor" and "licence"."""
+
+
+# ---- what the page shows of a row, and of a run when the row is opened
+
+_STARTS = {norm: f"initial {name_of(norm)}" for norm in NORMS}
+
+
+def line_columns() -> list[Column]:
+    """Return the columns of rows; some are for filters, search and plots only."""
+    columns = [Column("method", text=True, hide=0, of=lambda one: cell(one.label, below=one.family))]
+    for norm in NORMS:
+        name, (unit, _, digits) = name_of(norm), unit_of(norm)
+        columns += [
+            Column(f"{name} group", hide=2, looks={"1": "good"}, of=partial(_top_group, norm=norm)),
+            Column(f"{name} mean", unit, digits, hide=0, of=partial(_mean, norm=norm)),
+            Column(f"{name} median", unit, digits, hide=3, of=partial(_median, norm=norm)),
+        ]
+    return [
+        *columns,
+        Column("n", hide=4, of=lambda one: one.summary.count),
+        Column("distinct frames", hide=6, of=lambda one: one.summary.frames),
+        Column("independent groups", hide=6, of=lambda one: one.summary.groups),
+        Column("refused", hide=2, of=lambda one: one.summary.refused),
+        Column("trusted", hide=3, of=lambda one: one.summary.trusted if one.summary.judged else None),
+        Column("false accepts", hide=2, of=lambda one: one.summary.false_accepts if one.summary.judged else None),
+        Column("outside 95 %", hide=3, of=lambda one: one.summary.outside_95 if one.summary.judged else None),
+        Column("not moved", hide=5, of=lambda one: one.summary.unmoved or None),
+        Column("coverage 67 %", hide=5, of=partial(_covered, names=BOUNDS[:2])),
+        Column("coverage 95 %", hide=4, of=partial(_covered, names=BOUNDS[2:])),
+        Column(
+            "time", "s", hide=3, of=lambda one: cell(brief(one.summary.seconds), brief_seconds(one.summary.seconds))
+        ),
+        Column("suite", off=True, of=lambda one: one.suite.name),
+        Column("data set", off=True, of=lambda one: one.data_title),
+        Column("initial error", off=True, of=lambda one: one.protocol),
+        Column("frames", off=True, of=lambda one: one.frames[1]),
+        Column("family", off=True, of=lambda one: one.family),
+        Column("needs", off=True, of=lambda one: one.needs or [NO_NEEDS]),
+        Column("method words", off=True, of=lambda one: ", ".join(f"{k} {v}" for k, v in one.method.words.items())),
+        Column("source", off=True, of=lambda one: one.method.source or None),
+        *(Column(f"{name_of(n)} of solved [{unit_of(n)[0]}]", off=True, of=partial(_solved, norm=n)) for n in NORMS),
+        Column("name", off=True, of=lambda one: one.name),
+        Column("compared", off=True, of=lambda one: cell(one.heading, one.heading, one.suite.suite.question)),
+        *(Column(_STARTS[n], n.rpartition("_")[2], off=True, of=partial(_start, norm=n)) for n in NORMS),
+    ]
+
+
+def _top_group(line: _Line, norm: str) -> int | None:
+    return line.top_group.get(norm)
+
+
+def _mean(line: _Line, norm: str) -> Any:
+    mean = line.summary.mean(norm)
+    ends = [] if mean is None else [mean.value, mean.low, mean.high]
+    return html.interval([None if end is None else unit_of(norm)[1] * end for end in ends]) if ends else None
+
+
+def _median(line: _Line, norm: str) -> float | None:
+    median = line.summary.median(norm)
+    return None if median is None else brief(unit_of(norm)[1] * median.value)
+
+
+def _solved(line: _Line, norm: str) -> Any:
+    mean, (_, factor, digits) = line.summary.solved_only.mean(norm), unit_of(norm)
+    return None if mean is None else cell(brief(factor * mean.value), html.number_text(factor * mean.value, digits))
+
+
+def _covered(line: _Line, names: Sequence[str]) -> Any:
+    coverage = line.summary.coverage
+    shares = [coverage.within[name] / coverage.count for name in names] if coverage.count else []
+    return cell(brief(shares[0]), *(f"{100 * share:.0f} %" for share in shares)) if shares else None
+
+
+def _start(line: _Line, norm: str) -> float | None:
+    values = [value for row in line.rows if (value := row.start_error_of(norm)) is not None]
+    return brief(float(np.mean(values))) if values else None
+
+
+RUN_COLUMNS = html.columns_of(
+    [
+        Column("frames", text=True, hide=0),
+        Column("seed", hide=4),
+        *(Column(name_of(norm), *unit_of(norm)[::2], hide=0) for norm in NORMS),
+        Column("status", text=True, hide=3),
+        Column("verdict", text=True, order=list(Trust), looks=html.TRUST_LOOKS),
+        *(
+            Column(f"{name_of(norm)} {what}", *unit_of(norm)[::2], hide=hide)
+            for what, hide in (("initial", 4), ("67 %", 3), ("95 %", 5))
+            for norm in NORMS
+        ),
+        Column("time", "s", 2, hide=4),
+        Column("names of frames", off=True),
+    ]
+)
+"""The columns of runs, in the order of `run_rows`."""
+
+
+def run_rows(rows: Sequence[Row]) -> list[list[Any]]:
+    """Return the cells of runs."""
+    shown = []
+    for row in rows:
+        errors = [_size(row.error_of(norm), norm) for norm in NORMS]
+        others = [_size(row.start_error_of(norm), norm) for norm in NORMS]
+        others += [_size(row.predicted(name), name.removesuffix("_95")) for name in BOUNDS]
+        words = [row.status.value, row.trust]
+        frames = ", ".join(row.frames) if len(row.frames) > 1 else None
+        seconds = None if row.total_s is None else brief(row.total_s)
+        shown.append([row.place, row.seed, *errors, *words, *others, seconds, frames])
+    return shown
+
+
+def _size(value: float | None, metric: str) -> Any:
+    if value is None:
+        return None
+    return cell(None, "unobservable") if value == np.inf else brief(unit_of(metric)[1] * value)
+
+
+# ---- the page
 
 
 @dataclass(frozen=True)
@@ -64,10 +179,19 @@ class Written:
 
 @dataclass(eq=False)
 class _Line:
-    """One row of the page: the runs of a label on one dataset from one initial error."""
+    """One row of the page: the runs of a label on one dataset from one initial error.
+
+    `name` is the common name of the rows of its method, `top_group` its top group by norm, `data_title` the
+    dataset with its sensors.
+    """
 
     suite: SuiteFile
     summary: Statistics
+    name: str = ""
+    family: str = ""
+    needs: Sequence[str] = ()
+    data_title: str = ""
+    top_group: Mapping[str, int | None] = field(default_factory=dict)
 
     @property
     def rows(self) -> Sequence[Row]:
@@ -96,11 +220,22 @@ class _Line:
         return min(counts), max(counts)
 
     @property
+    def frames_text(self) -> str:
+        """The number of frames of a calibration as text."""
+        least, most = self.frames
+        return f"{most if least == most else f'{least} to {most}'} frame{'s' * (most != 1)}"
+
+    @property
+    def heading(self) -> str:
+        """What rows have in common that are compared, as text."""
+        return f"{self.data_title}, {self.frames_text}, from {self.protocol}"
+
+    @property
     def comparable(self) -> tuple[str, str, str, int]:
         """What rows have in common that are compared."""
         return self.suite.name, self.dataset, self.protocol, self.frames[1]
 
-    @property
+    @cached_property
     def same_method(self) -> str:
         """Equal for two rows of one method, whatever their initial error and number of frames."""
         if self.method.external:
@@ -124,71 +259,160 @@ def write_page(
     overlays: Overlays | None = None,
     on_suite: Callable[[str], None] = lambda name: None,
 ) -> Written:
-    """Write the page of suites, and a file for each 2000 runs, to a folder, and return what was written.
+    """Write the page of suites, and a file for the runs of each row, to a folder, and return what was written.
 
-    The page needs no server and loads nothing but these files. It stays below 5 MB: rows beyond `MAX_BYTES` or
-    `MAX_ROWS` are left out, which it states. `cards` returns the data cards of a dataset of a suite by title,
-    `overlays` draws images. Raises InputError if the folder cannot be written.
+    The page needs no server and loads nothing but these files. It opens with the suite that compares most families.
+    It stays below 5 MB: rows beyond `MAX_BYTES` or `MAX_ROWS` are left out, which it states. `cards` returns the data
+    cards of a dataset of a suite by title, `overlays` draws images. Raises InputError if the folder
+    cannot be written.
     """
-    _prepare(folder)
-    lines: list[dict[str, Any]] = []
-    size = left_out = runs = 0
-    names = _Names(registry)
+    html.prepare_data(folder)
+    names, shared, columns = _Names(registry), html.Shared(), line_columns()
+    shown: list[_Line] = []
+    rows: list[list[Any]] = []
+    opens = []
     described: dict[str, Card] = {}
+    size = left_out = 0
     for suite in suites:
         on_suite(suite.name)
         own = {table.name: cards(table) for table in suite.study.study.dataset}
-        for compared in _compared(suite, results):
-            chosen = compared[: MAX_ROWS - len(lines)] if size < MAX_BYTES else []
+        for lines in _compared(suite, results):
+            chosen = lines[: MAX_ROWS - len(rows)] if size < MAX_BYTES else []
             groups = {norm: top_groups([line.summary.mean(norm) for line in chosen]) for norm in NORMS}
             for number, line in enumerate(chosen):
-                shown = _shown_line(line, names) | {"group": {norm: groups[norm][number] for norm in NORMS}}
-                shown["cards"] = list(own.get(line.dataset, ()))
-                size += len(json.dumps(shown))
+                known = own.get(line.dataset, {})
+                sensors = ", ".join(sorted({card["sensor"] for card in known.values() if card.get("sensor")}))
+                line.data_title = f"{line.dataset} ({sensors})" if sensors else line.dataset
+                line.family, line.needs = names.of(line.method)
+                line.top_group = {norm: groups[norm][number] for norm in NORMS}
+                cells = html.cells(columns, line)
+                size += len(json.dumps(cells))
                 if size > MAX_BYTES:
                     break
-                shown["file"] = f"{suite.name}-{len(lines)}"
-                shown["parts"] = _write_runs(folder / DATA, shown["file"], line, overlays)
-                described |= own.get(line.dataset, {})
-                lines.append(shown)
-                runs += len(line.rows)
+                file = f"{suite.name}-{len(rows)}"
+                facts = [_card(shared, title, card) for title, card in known.items()]
+                html.write_data(folder, file, [[*facts, *_runs(line, overlays, shared)]])
+                opens.append(html.detail_of_file(f"{line.label}: {line.heading}", file))
+                described |= known
+                shown.append(line)
+                rows.append(cells)
                 left_out -= 1
-            left_out += len(compared)
-    _name_methods(lines)
-    data = {
-        "rows": lines,
-        "suites": {suite.name: suite.suite.question for suite in suites},
-        "cards": {title: dict(card) for title, card in described.items()},
-        "norms": NORMS,
-        "statuses": STATUSES,
-        "trusts": TRUSTS,
-        "colours": COLOURS,
-        "leftOut": left_out,
-        "notes": [GROUPS_NOTE, NOTE],
-    }
-    files = ("p2o_study.report/nodes.js", "p2o_study.report/elements.js", "p2o_study.benchmark/page.js")
-    page = rendered(
-        "p2o_study.benchmark/page.html",
-        style="p2o_study.report/page.css",
-        scripts=("".join(map(part, files)),),
-        script_files=True,
-        title="p2o benchmark",
-        own_style=Markup(part("p2o_study.benchmark/page.css")),
-        data=script_json(data),
+            left_out += len(lines)
+    families = {suite.name: {line.family for line in shown if line.suite is suite} for suite in suites}
+    first = max(families, key=lambda name: len(families[name]), default="")
+    blocks = [
+        html.text("Errors of camera-LiDAR calibration, computed from poses. Select a row to see its runs.", "quiet")
+    ]
+    if left_out:
+        text = f"The page has the first {len(rows)} rows; {left_out} further ones are left out."
+        blocks.append(html.text(f"{text} p2o benchmark table has all.", "quiet"))
+    blocks += [_families([line for line in shown if line.suite.name == first])] if shown else []
+    filters = ["data set", "initial error", "frames", "family", "needs"]
+    table = html.table(
+        [replace(column, of=None) for column in columns],
+        rows,
+        name="rows",
+        search=True,
+        filters=[("suite", first), *filters] if shown else (),
+        group="compared",
+        opens=opens,
+        counted=" rows",
     )
+    note = (
+        "Of the rows above. Select a point to open its row, a name to hide it; drag to enlarge. Axes are logarithmic."
+    )
+    plots = html.choice("of", {name_of(norm): [_plots(norm)] for norm in NORMS})
+    blocks += [html.section("Rows", table), html.section("Errors", plots, html.text(note, "quiet"))]
+    if described:
+        blocks.append(html.section("Data", *(_card(shared, title, card) for title, card in described.items())))
+    blocks.append(html.section("How to read it", *(html.text(note, "quiet") for note in (GROUPS_NOTE, NOTE))))
+    page = html.page("p2o benchmark", blocks, shared=shared, script_files=True)
     write_whole(folder / INDEX, page.encode())
-    return Written(folder / INDEX, len(lines), left_out, runs)
+    return Written(folder / INDEX, len(rows), left_out, sum(len(line.rows) for line in shown))
 
 
-def _prepare(folder: Path) -> None:
-    """Create the folder of the page, and remove the runs of an earlier page."""
-    try:
-        (folder / DATA).mkdir(parents=True, exist_ok=True)
-        for path in (folder / DATA).glob("*.js"):
-            path.unlink()
-    except OSError as problem:
-        got = problem.strerror or str(problem)
-        raise InputError("cannot write the folder of the page", where=folder, got=got, hint="--out FOLDER") from problem
+def _card(shared: html.Shared, title: str, card: Card) -> Block:
+    """Return a data card."""
+    return shared.use(
+        html.fold(f"data card: {title}", html.facts([(name, text) for name, text in card.items() if text]))
+    )
+
+
+def _runs(line: _Line, overlays: Overlays | None, shared: html.Shared) -> list[Block]:
+    """Return the overlays and the runs of a row, those with the largest errors first."""
+    rows = sorted(line.rows, key=_error_size, reverse=True)
+    drawn = [] if overlays is None else overlays.of(line.suite, rows)
+    slides = [html.slides(f"run with the {one['name']}: {one['frame']}", one["before"], one["after"]) for one in drawn]
+    table = html.table(
+        shared.use(RUN_COLUMNS),
+        run_rows(rows),
+        name="runs",
+        search=True,
+        counted=" runs, those with the largest errors first",
+    )
+    return [*([html.grid(*slides, least=400)] if slides else []), html.section("Runs", table)]
+
+
+def _families(lines: Sequence[_Line]) -> Block:
+    """Return the methods of a suite by family: their mean errors in each comparison."""
+    by_method: dict[tuple[str, str], dict[str, _Line]] = {}
+    for line in lines:
+        by_method.setdefault((line.family, line.name), {})[line.heading] = line
+    keys = sorted(by_method, key=lambda key: key[0])
+    columns = [Column("method", text=True, hide=0, of=lambda key: key[1])]
+    columns.append(Column("family", off=True, of=lambda key: key[0]))
+    for heading, line in {line.heading: line for line in lines}.items():
+        title = f"{line.dataset}, {line.frames_text}, from {line.protocol}"
+        columns.append(Column(title, of=partial(_both_means, by_method, heading)))
+    opens = [html.rows_of("rows", suite=lines[0].suite.name, family=family, find=name) for family, name in keys]
+    guide = "Mean rotation error, below it that of the translation. Select a method to see its rows."
+    table = html.table(columns, keys, name="families", group="family", opens=opens)
+    question = html.text(lines[0].suite.suite.question)
+    return html.section("Methods by family", question, table, html.text(guide, "quiet"))
+
+
+def _both_means(by_method: Mapping[Any, Mapping[str, _Line]], heading: str, key: tuple[str, str]) -> Any:
+    line = by_method[key].get(heading)
+    means = {} if line is None else {norm: mean for norm in NORMS if (mean := line.summary.mean(norm)) is not None}
+    texts = [f"{factor * mean.value:.{digits}f} {unit}" for unit, factor, digits, mean in _in_units(means)]
+    return cell(brief(means[NORMS[0]].value), *texts) if texts else None
+
+
+def _in_units(means: Mapping[str, Interval]) -> list[tuple[str, float, int, Interval]]:
+    return [(*unit_of(norm), mean) for norm, mean in means.items()]
+
+
+def _plots(norm: str) -> Block:
+    """Return the plots of the mean error of a norm over what it depends on."""
+    y, title = f"{name_of(norm)} mean", f"{name_of(norm)} error [{unit_of(norm)[0]}]"
+    start = (f"mean initial {name_of(norm)} error [{norm.rpartition('_')[2]}]", title)
+    same, below = ("suite", "data set", "name"), "Below the dashed line the error became smaller."
+    note = "Lines connect rows of one method on one data set from one initial error."
+    return plot_of_table(
+        "rows",
+        [
+            table_panel("over time", "time", y, "name", ("median time of a calibration [s]", title)),
+            table_panel(
+                "over number of frames",
+                "frames",
+                y,
+                "name",
+                ("frames", title),
+                join=(*same, "initial error"),
+                note=note,
+            ),
+            table_panel(
+                "over initial error", _STARTS[norm], y, "name", start, join=(*same, "frames"), diagonal=True, note=below
+            ),
+            table_panel("over data set", "data set", y, "name", ("", title), categories=True),
+        ],
+    )
+
+
+def _error_size(row: Row) -> float:
+    """Return the size of the error of a run; runs without an error come first."""
+    error = row.error
+    return np.inf if error is None else error.rotation_deg / WRONG.angle_deg + error.translation_m / WRONG.distance_m
 
 
 def _compared(suite: SuiteFile, results: Rows) -> list[list[_Line]]:
@@ -199,6 +423,11 @@ def _compared(suite: SuiteFile, results: Rows) -> list[list[_Line]]:
         rows.setdefault((row.section, row.row, row.dataset, row.protocol), []).append(row)
     group_of = suite.suite.group_of
     lines = [_Line(suite, Statistics(own, label, group_of)) for (_, label, _, _), own in rows.items()]
+    labels: dict[str, list[str]] = {}
+    for line in lines:
+        labels.setdefault(line.same_method, []).append(line.label)
+    for line in lines:
+        line.name = common_name(labels[line.same_method])
     lines.sort(key=lambda line: (line.comparable, order.get(line.label, len(order)), line.label))
     return [list(some) for _, some in groupby(lines, key=lambda line: line.comparable)]
 
@@ -228,56 +457,6 @@ class _Names:
         return family_of(plan), sorted(needs & FRAME_CONTENT.keys())
 
 
-def _shown_line(line: _Line, names: _Names) -> dict[str, Any]:
-    """Return a row as JSON."""
-    summary, (least, most) = line.summary, line.frames
-    family, needs = names.of(line.method)
-    coverage = summary.coverage
-    starts = [[row.start_error_of(norm) or 0.0 for row in line.rows if row.case.start_error] for norm in NORMS]
-    return {
-        "label": line.label,
-        "method": line.same_method,
-        "suite": line.suite.name,
-        "dataset": line.dataset,
-        "protocol": line.protocol,
-        "frames": most,
-        "framesText": str(most) if least == most else f"{least} to {most}",
-        "family": family,
-        "needs": needs,
-        "words": dict(line.method.words),
-        "source": line.method.source,
-        "count": summary.count,
-        "groups": summary.groups,
-        "refused": summary.refused,
-        "mean": {norm: _interval(value) for norm in NORMS if (value := summary.mean(norm))},
-        "median": {norm: brief(value.value) for norm in NORMS if (value := summary.median(norm))},
-        "solvedOnly": {norm: brief(summary.solved_only.average(norm)) for norm in NORMS if summary.solved},
-        "trusted": summary.trusted if summary.judged else None,
-        "falseAccepts": summary.false_accepts if summary.judged else None,
-        "outside": summary.outside_95 if summary.judged else None,
-        "coverage": [brief(coverage.within[name] / coverage.count) for name in BOUNDS] if coverage.count else None,
-        "covered": coverage.count,
-        "seconds": brief(summary.seconds),
-        "time": brief_seconds(summary.seconds),
-        "start": [brief(float(np.mean(values))) if values else None for values in starts],
-    }
-
-
-def _interval(value: Interval) -> list[float | None]:
-    return [brief(value.value), brief(value.low), brief(value.high)]
-
-
-def _name_methods(lines: Sequence[dict[str, Any]]) -> None:
-    """Replace the key of the method of each row by a number, and add the common name of its rows."""
-    labels: dict[str, list[str]] = {}
-    for line in lines:
-        labels.setdefault(line["method"], []).append(line["label"])
-    numbers = {method: number for number, method in enumerate(labels)}
-    for line in lines:
-        line["name"] = common_name(labels[line["method"]])
-        line["method"] = numbers[line["method"]]
-
-
 def common_name(labels: Sequence[str]) -> str:
     """Return the common beginning of labels in whole words: "ours" of "ours from 1deg" and "ours from 2deg"."""
     if len(set(labels)) == 1:
@@ -289,47 +468,3 @@ def common_name(labels: Sequence[str]) -> str:
     while common and common[-1] in ("", "from", "on", "@"):
         common = common[:-1]
     return " ".join(labels[0].split(" ")[: len(common)]).rstrip(",") or labels[0]
-
-
-def _write_runs(folder: Path, name: str, line: _Line, overlays: Overlays | None) -> int:
-    """Write the runs of a row, those with the largest errors first, and return the number of files."""
-    rows = sorted(line.rows, key=_size, reverse=True)
-    starts = range(0, len(rows), _AT_ONCE)
-    for number, first in enumerate(starts):
-        shown = _shown_runs(rows[first : first + _AT_ONCE])
-        shown["overlays"] = [] if overlays is None or number else overlays.of(line.suite, rows)
-        text = json.dumps([name, number, shown], separators=(",", ":"))
-        # NaN and Infinity are values of a script.
-        write_whole(folder / f"{name}-{number}.js", f"receiveRuns(...{text});\n".encode())
-    return len(starts)
-
-
-def _size(row: Row) -> float:
-    """Return a size of the error by which runs are sorted; those without an error come first."""
-    error = row.error
-    return np.inf if error is None else error.rotation_deg / WRONG.angle_deg + error.translation_m / WRONG.distance_m
-
-
-def _shown_runs(rows: Sequence[Row]) -> dict[str, Any]:
-    """Return runs by column; "places" are the distinct frames, "frames" those of groups of several."""
-    names = sorted({row.frames for row in rows})
-    numbers = {place: number for number, place in enumerate(names)}
-    columns: dict[str, Callable[[Row], float | None]] = {
-        **{norm: (lambda row, norm=norm: row.error_of(norm)) for norm in NORMS},  # type: ignore[misc]
-        **{f"start_{norm}": (lambda row, norm=norm: row.start_error_of(norm)) for norm in NORMS},  # type: ignore[misc]
-        **{name: (lambda row, name=name: row.predicted(name.removeprefix("predicted_"))) for name in PREDICTED},  # type: ignore[misc]
-        "seconds": lambda row: row.total_s,
-    }
-    return {
-        "places": shown_texts([place_of(place) for place in names]),
-        "frames": shown_texts([list(place) if len(place) > 1 else [] for place in names]),
-        "place": [numbers[row.frames] for row in rows],
-        "seed": [row.seed for row in rows],
-        "status": [STATUSES.index(row.status) for row in rows],
-        "verdict": [-1 if row.trust is None else TRUSTS.index(row.trust) for row in rows],
-        **{name: [_rounded(value(row)) for row in rows] for name, value in columns.items()},
-    }
-
-
-def _rounded(value: float | None) -> float:
-    return float("nan") if value is None else round(value, 5)

@@ -47,11 +47,9 @@ def command(
     report.md      tables with intervals, and the figures
     report.tex     the tables for a paper
     *.png *.svg    errors by axis, convergence, errors by frame
-
-    The plots of the page need plotly (pip install "plotly>=6").
     """  # noqa: D301  (click wants a real backspace: the list keeps its lines)
-    from p2o.draw.run_page import RUN, write_page_of_folder
     from p2o.files.input_file import expanded
+    from p2o.page.run_page import RUN, write_page_of_folder
 
     from p2o_study.report import write_report
     from p2o_study.rows import Rows
@@ -73,7 +71,6 @@ def command(
             overlays=overlays,
             registry=registry,
             on_progress=lambda name, done, total: show(f"drawing {done + 1} of {total}: {name}"),
-            on_warning=lambda text: click.echo(f"p2o: {text}", err=True),
         )
     for path in written:
         click.echo(path)

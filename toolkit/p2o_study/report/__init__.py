@@ -30,24 +30,24 @@ def write_report(
     overlays: int = 12,
     registry: Registry | None = None,
     on_progress: Tell | None = None,
-    on_warning: Callable[[str], None] | None = None,
 ) -> list[Path]:
     """Write the report of the studies in a folder and return its files: report.html, report.md, report.tex, figures.
 
     `out` is the folder to write to (default: `report` in the folder), `studies` selects studies by name (default: all),
     `data` gives the paths of their frames as DATASET:PATH or NAME=DATASET:PATH. With data, overlays of at most
-    `overlays` frames of each row are drawn, the worst first. The same store gives the same bytes. `on_warning`
-    receives a message if the page has no plots because plotly is missing.
+    `overlays` frames of each row are drawn, the worst first. The same store gives the same bytes.
 
     Raises InputError if there is no store or no finished run, or `out` cannot be written; UnknownNameError for an
     unknown study or dataset; and as `p2o_study.report.overlays.draw_all`.
     """
+    from p2o.page.figure import drawn, figure_files
+
     from p2o_study import tables
     from p2o_study.report import figures, page
     from p2o_study.report.overlays import OverlayImages, draw_all
 
     folder = expanded(folder)
-    images, library = OverlayImages(), page.plot_library()
+    images = OverlayImages()
     home = folder / "report" if out is None else expanded(out)
     tell = on_progress or (lambda what, done, total: None)
     summaries = _summaries(Rows.existing(folder), studies)
@@ -55,21 +55,19 @@ def write_report(
         make_writable(home)
     if data:
         images = draw_all(summaries, data, overlays, registry or Registry.load(), tell)
-    html = page.page(summaries, images, library).encode()
+    html = page.page(summaries, images).encode()
     files: dict[str, bytes] = {}
-    drawn: dict[str, list[tuple[str, str]]] = {}
+    titles: dict[str, list[tuple[str, str]]] = {}
     # An upper limit: groups without rounds or errors have fewer figures.
     done, total = 0, figures.KINDS * sum(len(summary.groups) for summary in summaries)
     for summary, names in zip(summaries, figures.figure_names(summaries), strict=True):
         for name, title, figure in figures.figures_of(summary, names):
             tell(title, done, total)
             done += 1
-            drawn.setdefault(summary.name, []).append((title, f"{name}.png"))
-            files |= {f"{name}.{form}": content for form, content in figures.rendered(figure).items()}
-    files["report.md"] = tables.report_markdown(summaries, lambda summary: drawn.get(summary.name, ())).encode()
+            titles.setdefault(summary.name, []).append((title, f"{name}.png"))
+            files |= {f"{name}.{form}": content for form, content in figure_files(drawn(figure)).items()}
+    files["report.md"] = tables.report_markdown(summaries, lambda summary: titles.get(summary.name, ())).encode()
     files["report.tex"] = tables.report_latex(summaries).encode()
-    if not library and on_warning is not None:
-        on_warning(page.NO_PLOTS)
     files["report.html"] = html
     for name, content in files.items():
         write_whole(home / name, content)

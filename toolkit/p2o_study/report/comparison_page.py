@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
-from p2o.draw.one_file import rendered
-from p2o.errors import printable
+from collections.abc import Iterable, Mapping
+from functools import partial
+from typing import Any
 
-from p2o_study.compare import BLIND, Comparison
+from p2o.errors import printable
+from p2o.page import page as html
+from p2o.page.page import Column, brief, cell
+
+from p2o_study.compare import BLIND, Comparison, Outcome
+from p2o_study.comparison import Standing
 from p2o_study.statistics import Interval, brief_seconds
 from p2o_study.tables import NONE, shown
 
@@ -18,15 +24,69 @@ _LENGTHS = {
 """Headers of the figures that have a rotation and a translation."""
 _BRIEF = ("repeatability", "consensus")
 """Those of the table of a terminal."""
+_GROUPS = (
+    "Group 1: methods that cannot be distinguished from the best at 95 %. In brackets: 95 % intervals from bootstrap "
+    "samples of the groups."
+)
+_LEGEND = (
+    "Repeatability: standard deviation of one calibration about the mean pose of its method; its parts are the spread "
+    "within a group over the initial guesses, and between the means of the groups.",
+    "Held-out: cost of the poses of one group on the frames of the others (edges: pixels; nid: information distance). "
+    "A judge marked * uses features of the method itself.",
+    "To other families: distance of the mean pose from the median of methods that rely on something else.",
+    "Failed: calibrations without an estimate; they count with their initial guess.",
+)
 
 
-def table_of(comparison: Comparison, *, brief: bool) -> list[list[str]]:
-    """Return header and rows of the ranking, with all figures and intervals unless `brief`.
+def ranking_columns(comparison: Comparison) -> list[Column]:
+    """Return the columns of the ranking."""
+    outcomes = comparison.outcomes
+    columns = [
+        Column("method", text=True, hide=0, of=lambda s: s.name),
+        Column("group", hide=0, of=lambda s: s.tier),
+        Column("family", text=True, hide=2, of=lambda s: s.family),
+    ]
+    for hide, name in enumerate(_lengths(comparison, _LENGTHS), 1):
+        for unit, key, factor, digits in (("deg", f"{name}_deg", 1.0, 3), ("cm", f"{name}_m", 100.0, 1)):
+            of = partial(_interval, key=key, factor=factor)
+            columns.append(Column(_LENGTHS[name], unit, digits, hide=hide, of=of))
+    columns += [
+        Column(f"held-out {judge}", hide=2, of=partial(_held_out, judge=judge, shared=shared))
+        for judge, shared in comparison.shares.items()
+    ]
+    error = "error (truth, not used)"
+    return [
+        *columns,
+        Column("failed", hide=1, of=lambda s: _failed(outcomes[s.name])),
+        Column("time", "s", 2, hide=4, of=lambda s: brief(outcomes[s.name].seconds)),
+        Column(error, "deg", 3, hide=3, of=lambda s: brief(outcomes[s.name].error_deg)),
+        Column(error, "m", 3, hide=3, of=lambda s: brief(outcomes[s.name].error_m)),
+    ]
 
-    A * marks held-out costs of judges that share features with the method.
-    """
-    names = _BRIEF if brief else _LENGTHS
-    lengths = [name for name in names if f"{name}_deg" in comparison.ranking[0].figures]
+
+def _interval(standing: Standing, key: str, factor: float) -> Any:
+    value = standing.figures[key]
+    return html.interval([None if x is None else factor * x for x in (value.value, value.low, value.high)])
+
+
+def _held_out(standing: Standing, judge: str, shared: Mapping[str, bool]) -> Any:
+    """Return the held-out cost; a * marks a judge that shares features with the method."""
+    first, *below = shown(standing.figures[judge], "px_deg").split(" ", 1)
+    return cell(brief(standing.figures[judge].value), first + "*" * shared[standing.name], *below)
+
+
+def _failed(outcome: Outcome) -> Any:
+    failed = outcome.runs - outcome.solved
+    return cell(failed, f"{failed} of {outcome.runs}" if failed else "0")
+
+
+def _lengths(comparison: Comparison, names: Iterable[str]) -> list[str]:
+    return [name for name in names if f"{name}_deg" in comparison.ranking[0].figures]
+
+
+def _table_of_text(comparison: Comparison) -> list[list[str]]:
+    """Return header and rows of the ranking for a terminal, without intervals."""
+    lengths = _lengths(comparison, _BRIEF)
     known = any(outcome.error_deg is not None for outcome in comparison.outcomes.values())
     header = ["method", "group", "family"]
     header += [f"{_LENGTHS[name]} {unit}" for name in lengths for unit in ("deg", "cm")]
@@ -35,7 +95,7 @@ def table_of(comparison: Comparison, *, brief: bool) -> list[list[str]]:
     rows = [header]
     for s in comparison.ranking:
         keys = [f"{name}_{unit}" for name in lengths for unit in ("deg", "m")]
-        values = {k: Interval(v.value) if brief else v for k, v in s.figures.items()}
+        values = {key: Interval(figure.value) for key, figure in s.figures.items()}
         row = [s.name, str(s.tier), s.family, *(shown(values[key], key) for key in keys)]
         row += [shown(values[j], "px_deg") + "*" * shared[s.name] for j, shared in comparison.shares.items()]
         outcome = comparison.outcomes[s.name]
@@ -50,7 +110,7 @@ def table_of(comparison: Comparison, *, brief: bool) -> list[list[str]]:
 
 def comparison_text(comparison: Comparison) -> str:
     """Return the ranking, the sentence and the remarks for a terminal."""
-    rows = table_of(comparison, brief=True)
+    rows = _table_of_text(comparison)
     # Headers of several words take several lines.
     heads = [cell.split(" ") for cell in rows[0]]
     lines = [[head[i] if i < len(head) else "" for head in heads] for i in range(max(map(len, heads)))] + rows[1:]
@@ -62,14 +122,26 @@ def comparison_text(comparison: Comparison) -> str:
 def comparison_page(comparison: Comparison) -> str:
     """Return the page: it works offline and loads nothing."""
     names = [s.name for s in comparison.ranking]
-    apart = {frozenset((a, b)): f"{deg:.2f} deg {100 * m:.1f} cm" for a, b, deg, m in comparison.distances}
-    pairs = [["", *names], *([a, *(apart.get(frozenset((a, b)), NONE) for b in names)] for a in names)]
-    return rendered(
-        "p2o_study.report/comparison.html",
-        style="p2o.draw/run_page.css",
-        title="Comparison of methods without ground truth",
-        comparison=comparison,
-        ranking=table_of(comparison, brief=False),
-        distances=pairs,
-        remarks=(*comparison.remarks, BLIND),
+    apart = {
+        frozenset((a, b)): cell(deg, f"{deg:.2f} deg", f"{100 * m:.1f} cm") for a, b, deg, m in comparison.distances
+    }
+    pairs = [[a, *(apart.get(frozenset((a, b))) for b in names)] for a in names]
+    frames = (
+        f"{comparison.frames} frames in {comparison.groups} disjoint groups, each calibrated jointly by every method"
     )
+    blocks = [
+        html.text(f"{frames}, from initial guesses that are off by {comparison.perturb}.", "quiet"),
+        html.text(comparison.sentence, "lead"),
+        html.section(
+            "Ranking",
+            html.table(ranking_columns(comparison), comparison.ranking, name="ranking", search=True),
+            html.text(_GROUPS),
+            html.items(_LEGEND),
+        ),
+        html.section(
+            "Distances between mean poses",
+            html.table([Column("method", text=True, hide=0), *map(Column, names)], pairs, name="distances"),
+        ),
+        html.section("Remarks", html.items([*comparison.remarks, BLIND])),
+    ]
+    return html.page("Comparison of methods without ground truth", blocks)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from p2o.arrays import Float
-from p2o.draw.plots import figure_with_panels, save_figure
+from p2o.page.figure import figure_with_panels, save_figure
 
 _MAPS_IN_ROW = 4
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from p2o.arrays import Float, UInt8
 from p2o.cache import FeatureCache, content_hash
-from p2o.draw.one_file import jpeg_uri
+from p2o.draw.image_uri import jpeg_uri
 from p2o.errors import InputError, P2OError
 from p2o.frames.scale import image_at_scale
 from p2o.host.slots import Kind

@@ -2,105 +2,274 @@
 
 from __future__ import annotations
 
-import base64
-import gzip
-import importlib
 import itertools
 import json
-import math
-import statistics
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Any, NamedTuple
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
-from markupsafe import Markup
-from p2o.arrays import Float
-from p2o.draw.one_file import part, rendered
-from p2o.errors import printable
-from p2o.geometry.pose_error import AXES
+from p2o.page import page as html
+from p2o.page.page import Block, Column, brief, cell
+from p2o.page.plot import plot
+from p2o.page.run_page import ROUND_COLUMNS
 from p2o.results.figures import figure_lines
 from p2o.results.verdict import Trust
 
-from p2o_study.report.figures import COLOURS
+from p2o_study.report import figures
 from p2o_study.report.overlays import OverlayImages
-from p2o_study.report.series import (
-    QUARTILES,
-    RULE,
-    Convergence,
-    convergence_of,
-    differ_much,
-    lifted,
-    rounds_differ_much,
-)
+from p2o_study.report.series import RULE, differ_much
 from p2o_study.report.worst import error_rank, outcome_text, worst_run
 from p2o_study.row import METRICS, NORMS, Row
-from p2o_study.statistics import Comparison, Interval, Statistics, brief_seconds, trust_text
+from p2o_study.statistics import Comparison, Statistics, brief_seconds, trust_text
 from p2o_study.study import Published
 from p2o_study.summary import Group, Summary
-from p2o_study.tables import DIGITS, NONE, NOTES, best, predicted_text
+from p2o_study.tables import DIGITS, NONE, NOTES, best, name_of, predicted_text, shown, unit_of
 
-_SIGNIFICANT = 6
 _RUN_BYTES = 1_500_000
 """Maximum size of the single runs on the page, as JSON; about 1,000 runs."""
 _MOST_ROWS = 400
 _MOST_POINTS = 2000
 """Maximum number of points of the plot of errors by frame: rows times frames."""
-NO_PLOTS = 'the page has no plots, because plotly is missing; run: pip install "plotly>=6", and p2o report again'
+_VERDICT = Column("verdict", text=True, hide=2, order=list(Trust), looks=html.TRUST_LOOKS)
 
 
-def plot_library() -> str:
-    """Return the JavaScript of plotly from its Python package, "" if it is not installed."""
-    try:
-        offline = importlib.import_module("plotly.offline")
-    except ModuleNotFoundError:
-        return ""
-    return str(offline.get_plotlyjs())
+# ---- what the page shows of a row, of a pair of rows and of a run
 
 
-def page(summaries: Sequence[Summary], images: OverlayImages, library: str) -> str:
-    """Return the page of these studies; `library` is `plot_library()`, "" for a page without plots.
+def row_columns(group: Group, summary: Summary) -> list[Column]:
+    """Return the columns of the rows of a group; most are empty for published rows."""
+    metrics = [(metric, None) for metric in summary.norms] + [(metric, "by axis") for metric in summary.axes]
+    return [
+        Column("row", text=True, hide=0, of=_label),
+        *(
+            Column(
+                f"{name_of(metric)} {statistic}",
+                *unit_of(metric)[::2],
+                hide=1 + (statistic == "median"),
+                option=option,
+                of=partial(_figure, group=group, metric=metric, statistic=statistic),
+            )
+            for metric, option in metrics
+            for statistic in ("mean", "median")
+        ),
+        _measured("verdict", 3, lambda row: _counts(row.trusted, trust_text(row.trust))),
+        _measured("false accepts", 3, lambda row: row.false_accepts if row.judged else None),
+        _measured("outside 95 %", 3, lambda row: row.outside_95 if row.judged else None),
+        _measured("predicted 67 %", 4, _predicted),
+        _measured("coverage 67 %", 4, lambda row: _covered(row, "rotation_deg", row.coverage.text_67)),
+        _measured("coverage 95 %", 4, lambda row: _covered(row, "rotation_deg_95", row.coverage.text_95)),
+        _measured(f"within {summary.within}", 3, lambda row: row.reached),
+        _measured("worse than start", 4, lambda row: row.worse if summary.within else None),
+        _measured("not moved", 4, lambda row: row.unmoved or None),
+        _measured("runs", 3, lambda row: row.count),
+        _measured("frames", 5, lambda row: row.frames),
+        _measured("not solved", 3, lambda row: cell(sum(row.failures.values()), _failures(row))),
+        Column("start", text=True, hide=6, of=_starts),
+        _measured("time [s]", 5, lambda row: _counts(row.seconds, brief_seconds(row.seconds))),
+    ]
+
+
+def _measured(name: str, hide: int, of: Callable[[Statistics], Any]) -> Column:
+    """Return a column that is empty for published rows."""
+    text = name in ("verdict", "not solved")
+    return Column(name, text=text, hide=hide, of=lambda row: None if isinstance(row, Published) else of(row))
+
+
+def _label(row: Statistics | Published) -> Any:
+    return cell(row.label, below=f"published: {row.source}") if isinstance(row, Published) else row.label
+
+
+def _failures(row: Statistics) -> str:
+    return ", ".join(f"{count} {status}" for status, count in row.failures.items()) or "0"
+
+
+def _starts(row: Statistics | Published) -> str:
+    return row.start or NONE if isinstance(row, Published) else ", ".join(row.protocols) or NONE
+
+
+def _covered(row: Statistics, name: str, text: str) -> Any:
+    return _counts(row.coverage.within[name], text)
+
+
+def _predicted(row: Statistics) -> Any:
+    angle, _, length = predicted_text(row).partition(" deg ")
+    size = next(iter(row.predicted.values()), None)
+    return None if size is None else cell(brief(size), f"{angle} deg" if length else angle, length or None)
+
+
+def _counts(number: float, text: str) -> Any:
+    return None if text == NONE else cell(brief(number), text)
+
+
+def _figure(row: Statistics | Published, group: Group, metric: str, statistic: str) -> Any:
+    """Return the error of a row with its interval; the best ones of the complete rows of a group are bold."""
+    factor = unit_of(metric)[1]
+    if isinstance(row, Published):
+        return brief(factor * row.values[metric]) if statistic == "mean" and metric in row.values else None
+    value = row.mean(metric) if statistic == "mean" else row.median(metric)
+    if value is None:
+        return None
+    first = best(group.measured, metric, "mean" if statistic == "mean" else "median")
+    leads = row.complete and first is not None and round(value.value, DIGITS) == first
+    ends = [None if end is None else factor * end for end in (value.value, value.low, value.high)]
+    return html.interval(ends, "strong" if leads else None)
+
+
+def pair_columns(summary: Summary) -> list[Column]:
+    """Return the columns of comparisons of two rows."""
+    other = " (other start)"
+    columns = [
+        Column("row", text=True, hide=0, of=lambda pair: pair.row),
+        Column("against", text=True, hide=0, of=lambda pair: pair.against + other * pair.other_start),
+    ]
+    for metric in summary.norms:
+        name, unit = name_of(metric), unit_of(metric)[0]
+        columns.append(Column(f"{name} median difference", unit, of=partial(_difference, metric=metric)))
+        columns.append(Column(f"{name} better", hide=2, of=partial(_better, metric=metric)))
+    return [*columns, Column("pairs", hide=3, of=lambda pair: pair.pairs)]
+
+
+def _difference(pair: Comparison, metric: str) -> Any:
+    if metric not in pair.differences:
+        return None
+    median = pair.differences[metric].median
+    return cell(brief(median.value), *shown(median, metric, sign=True).split(" ", 1))
+
+
+def _better(pair: Comparison, metric: str) -> Any:
+    difference = pair.differences.get(metric)
+    if difference is None:
+        return None
+    tied = f" ({100 * difference.tied:.0f} % tied)" if difference.tied else ""
+    return cell(brief(difference.better), f"{100 * difference.better:.0f} %{tied}")
+
+
+def run_columns(images: OverlayImages) -> list[Column]:
+    """Return the columns of runs; ▣ marks runs with overlays."""
+    drawn = {key for key, _ in images.of}
+    hides = {metric: 2 if metric in NORMS else 5 for metric in METRICS}
+    return [
+        Column("row", text=True, hide=0, of=lambda run: run.row),
+        Column("frame", text=True, hide=0, of=lambda run: f"{run.place}{' ▣' * (run.key in drawn)}"),
+        Column("seed", hide=4, of=lambda run: run.seed),
+        Column("start", text=True, hide=6, of=lambda run: run.protocol),
+        Column("status", text=True, hide=3, of=lambda run: run.status if run.solved else cell(run.status, look="bad")),
+        replace(_VERDICT, hide=1, of=lambda run: run.trust),
+        *(
+            Column(name_of(metric), *unit_of(metric)[::2], hide=hide, of=partial(_error, metric=metric))
+            for metric, hide in hides.items()
+        ),
+        Column("matches", hide=4, of=lambda run: sum(run.matches.values()) or None),
+        Column("overlays", text=True, off=True, of=lambda run: "yes" if run.key in drawn else "no"),
+    ]
+
+
+def _error(run: Row, metric: str) -> float | None:
+    value = run.error_of(metric)
+    return None if value is None else brief(unit_of(metric)[1] * value)
+
+
+def run_blocks(run: Row, images: OverlayImages, shared: html.Shared) -> Iterator[Block]:
+    """Yield what a run shows when it is opened."""
+    why = run.why or ""
+    yield html.text(f"{run.status}{f': {run.reason}' if run.reason else ''}", "" if run.solved else "bad")
+    if run.trust:
+        yield html.text(
+            f"{'remark: ' * bool(run.trust is Trust.TRUSTED and why)}{why if why != run.reason else ''}", mark=run.trust
+        )
+    yield from overlays_of(run, images)
+    evidence = figure_lines(run.figures)
+    if evidence:
+        yield html.part("Evidence", html.facts(evidence))
+    rows = []
+    for metric in METRICS:
+        unit, factor, digits = unit_of(metric)
+        values = (run.start_error_of(metric), run.error_of(metric))
+        ends = [None if value is None else factor * value for value in values]
+        rows.append([f"{name_of(metric)} [{unit}]", *(html.number_text(end, digits) for end in ends)])
+    seconds = [(stage, f"{value:.3g} s") for stage, value in run.seconds.items() if brief(value) is not None]
+    counts = [(side, str(count)) for side, count in run.matches.items()]
+    parts = [html.part("Error", html.table(shared.use(_ERRORS), rows))]
+    parts += [html.part("Matches", html.facts(counts))] if counts else []
+    parts += [html.part("Time", html.facts(seconds))] if seconds else []
+    yield html.grid(*parts, least=220)
+    poses = []
+    if run.pose is not None:
+        lines = [" ".join(f"{value:11.6f}" for value in line) for line in np.asarray(run.pose)]
+        poses.append(html.code("\n".join(lines), "camera_from_lidar"))
+    if run.rounds:
+        cost = str(run.figures.get("cost_unit") or "")
+        columns = [replace(one, unit=cost) if one.name == "cost" and cost else one for one in ROUND_COLUMNS]
+        poses.append(
+            html.part(
+                "Rounds",
+                html.table(shared.use(html.columns_of(columns)), [html.cells(columns, one) for one in run.rounds]),
+            )
+        )
+    yield html.grid(*poses, least=420)
+    if run.exception:
+        yield html.code(run.exception, "Traceback")
+    if len(run.frames) > 1:
+        yield html.fold(f"{len(run.frames)} frames", html.code("\n".join(run.frames)))
+    method = {**run.method.words, "options": run.method.options}
+    recipe = json.dumps({"method": method, "versions": dict(run.environment.versions)}, indent=1, default=str)
+    yield shared.use(html.fold("recipe and versions", html.code(recipe)))
+    if run.finished:
+        yield html.text(f"finished {run.finished}", "quiet")
+
+
+_ERRORS = html.columns_of([Column("", text=True), Column("start"), Column("end")])
+
+
+def overlays_of(run: Row, images: OverlayImages) -> list[Block]:
+    """Return the overlays of the frames of a run that were drawn."""
+    numbers = [(frame, images.of[run.key, frame]) for frame in run.frames if (run.key, frame) in images.of]
+    return [html.slides(frame, {"use": before}, {"use": after}) for frame, (before, after) in numbers]
+
+
+# ---- the page
+
+
+def page(summaries: Sequence[Summary], images: OverlayImages) -> str:
+    """Return the page of these studies.
 
     Without overlays the page stays below 5 MB for any number of runs and rows: it has the first `_MOST_ROWS` rows, and
-    the worst runs of each row as far as `_RUN_BYTES` allows; plots are of all runs. The content security policy allows
-    the page's own scripts only and no requests.
+    the worst runs of each row as far as `_RUN_BYTES` allows; plots are of all runs.
     """
     summaries = _with_first_rows(summaries)
-    data = {
-        "studies": [
-            _study(summary, runs) for summary, runs in zip(summaries, _chosen_runs(summaries, images), strict=True)
-        ],
-        "images": images.uris,
-        "metrics": METRICS,
-        "norms": NORMS,
-        "axes": AXES,
-        "trusts": [*Trust],
-        "colours": COLOURS,
-        "notes": NOTES,
-        "rule": RULE,
-        "noPlots": "" if library else f"{NO_PLOTS}. The figures beside this page, PNG and SVG, show the same.",
+    shared = html.Shared()
+    for uri in images.uris:
+        shared.use(uri)
+    chosen = _chosen_runs(summaries, images, shared)
+    titles = Counter(summary.title for summary in summaries)
+    studies = {
+        summary.title if titles[summary.title] == 1 else f"{summary.title} ({summary.name})": _study(
+            summary, own, images, summary.title if len(summaries) > 1 else ""
+        )
+        for summary, own in zip(summaries, chosen, strict=True)
     }
-    scripts = (library, "".join(part(f"p2o_study.report/{name}.js") for name in ("nodes", "elements", "page")))
-    template, style = "p2o_study.report/page.html", "p2o_study.report/page.css"
-    # Compressed, because the library has 5 MB; the policy contains the hash of its text.
-    packed = base64.b64encode(gzip.compress(library.encode(), mtime=0)).decode() if library else ""
-    values: dict[str, Any] = {"title": "p2o report", "data": script_json(data), "library": Markup(packed)}
-    return rendered(template, style=style, scripts=scripts, **values)
+    notes = [html.text(note, "quiet") for note in (*NOTES, RULE)]
+    title = summaries[0].title if len(summaries) == 1 else "p2o report"
+    return html.page(title, [html.choice("study", studies), html.section("How to read it", *notes)], shared=shared)
 
 
-def script_json(value: Any) -> Markup:
-    """Return JSON for a script element: `<` is escaped, so that no text can end the element."""
-    text = json.dumps(shown_texts(value), allow_nan=False, ensure_ascii=False, separators=(",", ":"))
-    return Markup(text.replace("<", "\\u003c"))
+@dataclass(eq=False)
+class _Runs:
+    """The runs of a group on the page: (row, place in the row) to the run and what it opens."""
 
+    taken: dict[tuple[int, int], tuple[Row, dict[str, Any]]] = field(default_factory=dict)
 
-def shown_texts(value: Any) -> Any:
-    """Return a value with control characters in texts escaped, except for newlines."""
-    if isinstance(value, str):
-        return "\n".join(map(printable, value.split("\n")))
-    if isinstance(value, Mapping):
-        return {shown_texts(key): shown_texts(part) for key, part in value.items()}
-    return [shown_texts(part) for part in value] if isinstance(value, list | tuple) else value
+    def number(self, row: int, place: int) -> int | None:
+        """Return the place of a run in the table, None if it is not on the page."""
+        return self.numbers.get((row, place))
+
+    @cached_property
+    def numbers(self) -> Mapping[tuple[int, int], int]:
+        """The places in the table, once all runs are chosen."""
+        return {place: number for number, place in enumerate(sorted(self.taken))}
 
 
 def _with_first_rows(summaries: Sequence[Summary]) -> list[Summary]:
@@ -112,237 +281,139 @@ def _with_first_rows(summaries: Sequence[Summary]) -> list[Summary]:
             kept = group.measured[:left]
             left -= len(kept)
             if kept:
-                groups.append(
-                    Group(group.heading, tuple(r for r in group.rows if isinstance(r, Published) or r in kept))
-                )
+                rows = (row for row in group.rows if isinstance(row, Published) or row in kept)
+                groups.append(Group(group.heading, tuple(rows)))
         shown, every = (sum(len(group.measured) for group in some) for some in (groups, summary.groups))
         note = f"{summary.note} This page has the first {shown} of {every} rows; report.md has all."
         out.append(replace(summary, groups=tuple(groups), note=summary.note if shown == every else note.strip()))
     return [summary for summary in out if summary.groups]
 
 
-def _chosen_runs(summaries: Sequence[Summary], images: OverlayImages) -> list[_Runs]:
+def _chosen_runs(summaries: Sequence[Summary], images: OverlayImages, shared: html.Shared) -> list[list[_Runs]]:
     """Return the runs on the page: the worst run of each row, then the next worst of each, up to `_RUN_BYTES`."""
-    chosen = [_Runs(_Numbered(), [{} for _ in summary.groups]) for summary in summaries]
+    chosen = [[_Runs() for _ in summary.groups] for summary in summaries]
     drawn = {key for key, _ in images.of}
     queues = []
-    for runs, summary in zip(chosen, summaries, strict=True):
-        for taken, group in zip(runs.groups, summary.groups, strict=True):
+    for own, summary in zip(chosen, summaries, strict=True):
+        for runs, group in zip(own, summary.groups, strict=True):
             for row, some in enumerate(measured.rows for measured in group.measured):
                 order = sorted(range(len(some)), key=lambda i: error_rank(some[i]), reverse=True)
                 # The worst run of a row is always its first, those with overlays are next.
                 order[1:] = sorted(order[1:], key=lambda i: some[i].key not in drawn)
-                queues.append([(runs, taken, row, place, some[place]) for place in order])
+                queues.append([(runs, row, place, some[place]) for place in order])
     left = _RUN_BYTES
     turns = (entry for turn in itertools.zip_longest(*queues) for entry in turn if entry is not None)
-    for runs, taken, row, place, run in turns:
-        before = runs.recipes.size
-        shown = _run(run, row, runs.recipes, images)
-        left -= len(json.dumps(shown)) + runs.recipes.size - before
+    for runs, row, place, run in turns:
+        before = shared.size
+        opened = html.detail(f"{run.row}, {run.place}, seed {run.seed}", *run_blocks(run, images, shared))
+        left -= len(html.plain_json(opened)) + shared.size - before
         if left < 0:
             break
-        taken[row, place] = (run, shown)
+        runs.taken[row, place] = (run, opened)
     return chosen
 
 
-class _Runs(NamedTuple):
-    """The runs of a study on the page, by group: (row, place in the row) to the run and its JSON."""
-
-    recipes: _Numbered
-    groups: list[dict[tuple[int, int], tuple[Row, dict[str, Any]]]]
-
-
-def _study(summary: Summary, runs: _Runs) -> dict[str, Any]:
-    return {
-        **{name: getattr(summary, name) for name in ("name", "title", "norms", "axes")},
-        "within": "" if summary.within is None else str(summary.within),
-        "note": " ".join([summary.note, *(f"{line}." for line in summary.pooled)]).strip(),
-        "groups": [_group(group, summary.norms, own) for group, own in zip(summary.groups, runs.groups, strict=True)],
-        "recipes": runs.recipes.values,
+def _study(summary: Summary, chosen: Sequence[_Runs], images: OverlayImages, title: str) -> list[Block]:
+    note = " ".join([summary.note, *(f"{line}." for line in summary.pooled)]).strip()
+    groups = {
+        group.heading or f"rows {number}": _group(group, summary, runs, images)
+        for number, (group, runs) in enumerate(zip(summary.groups, chosen, strict=True), 1)
     }
+    return [html.section(title, html.text(note, "quiet"), html.choice("rows", groups))]
 
 
-class _Numbered:
-    """A list of values without duplicates."""
-
-    def __init__(self) -> None:
-        self.values: list[Any] = []
-        self._numbers: dict[str, int] = {}
-        self.size = 0
-
-    def number(self, value: Any) -> int:
-        """Return the index of a value, which is added if it is new."""
-        key = json.dumps(value, sort_keys=True)
-        if key not in self._numbers:
-            self._numbers[key] = len(self.values)
-            self.values.append(value)
-            self.size += len(key)
-        return self._numbers[key]
-
-
-def _group(
-    group: Group, norms: Sequence[str], chosen: Mapping[tuple[int, int], tuple[Row, dict[str, Any]]]
-) -> dict[str, Any]:
-    every = [row.rows for row in group.measured]
-    labels = [row.label for row in group.measured]
-    numbers = {place: number for number, place in enumerate(sorted(chosen))}
-    worst = [(row, runs.index(worst_run(runs))) for row, runs in enumerate(every) if runs]
-    histories = [convergence_of(runs) for runs in every]
-    errors = {metric: [row.signed(metric) for row in group.measured] for metric in METRICS}
-    return {
-        "heading": group.heading,
-        "rows": [_row(row, group, norms) for row in group.rows],
-        "worst": [{"run": numbers[at], "text": outcome_text(chosen[at][0])} for at in worst if at in chosen],
-        "labels": labels,
-        "rounds": [None if history is None else _rounds(history) for history in histories],
-        "log": [metric for metric in METRICS if differ_much(errors[metric])],
-        "logRounds": list(itertools.compress(("matches", "residual"), rounds_differ_much(histories))),
-        "boxes": {metric: [_box(values) for values in rows] for metric, rows in errors.items()},
-        "sizeBoxes": {metric: [_box(values) for values in lifted(rows)] for metric, rows in errors.items()},
-        **_by_frame(group, numbers),
-        "pairs": [_pair(pair) for pair in group.comparisons],
-        "runs": [chosen[place][1] for place in numbers],
-        "total": sum(map(len, every)),
-    }
-
-
-def _box(values: Float) -> list[float | None] | None:
-    """Return lower whisker, quartiles and upper whisker of errors; None without errors."""
-    if not len(values):
-        return None
-    low, middle, high = np.quantile(values, QUARTILES)
-    length = 1.5 * (high - low)
-    inner = values[(values >= low - length) & (values <= high + length)]
-    return [brief(float(value)) for value in (inner.min(), low, middle, high, inner.max())]
+def _group(group: Group, summary: Summary, chosen: _Runs, images: OverlayImages) -> list[Block]:
+    taken = [chosen.taken[place] for place in chosen.numbers]
+    opens = [None if isinstance(row, Published) else html.rows_of("runs", row=row.label) for row in group.rows]
+    looks = ["published" if isinstance(row, Published) else None for row in group.rows]
+    some = len(group.rows) > 30
+    blocks = [
+        html.section(
+            "Rows",
+            html.table(row_columns(group, summary), group.rows, name="rows", search=some, opens=opens, looks=looks),
+            html.text(
+                "Bold: best of its column. In brackets: 95 % intervals over frames. Select a row to see its runs.",
+                "quiet",
+            ),
+        ),
+        _worst(group, chosen, images),
+        html.section(
+            "Errors", html.choice("of", {_named(metric): _errors(group, metric, chosen) for metric in METRICS})
+        ),
+    ]
+    panels = figures.rounds(group)
+    if panels:
+        rule = "Median and quartiles over the runs of a row; a run that has ended keeps its last value."
+        blocks.append(html.section("Convergence", plot(panels), html.text(rule, "quiet")))
+    if group.comparisons:
+        rule = "On the same frames and seeds; negative differences are in favour of the first row."
+        blocks.append(
+            html.section(
+                "Paired comparisons of rows",
+                html.table(pair_columns(summary), group.comparisons, name="pairs"),
+                html.text(rule, "quiet"),
+            )
+        )
+    total = sum(row.count for row in group.measured)
+    counted = " runs"
+    if total > len(taken):
+        counted += f", the worst of each row; all {total} runs are in {summary.name}.jsonl"
+    runs = html.table(
+        run_columns(images),
+        [run for run, _ in taken],
+        name="runs",
+        search=True,
+        filters=["row", "status", "verdict", "overlays"],
+        opens=[opened for _, opened in taken],
+        counted=counted,
+    )
+    return [*blocks, html.section("Runs", runs)]
 
 
-def _by_frame(group: Group, numbers: Mapping[tuple[int, int], int]) -> dict[str, Any]:
-    """Return the frames with the largest errors, and by row and frame the range of each metric and its worst run."""
+def _worst(group: Group, chosen: _Runs, images: OverlayImages) -> Block:
+    """Return the worst run of each row with its outcome in words, and its overlays."""
+    rows, opens, drawn = [], [], []
+    for row, (label, runs) in enumerate((measured.label, measured.rows) for measured in group.measured):
+        place = runs.index(worst_run(runs)) if runs else -1
+        number = chosen.number(row, place)
+        if number is not None:
+            run, _ = chosen.taken[row, place]
+            rows.append([label, outcome_text(run), run.trust, f"{run.place}, seed {run.seed}"])
+            opens.append(html.row_of("runs", number))
+            drawn += [html.part(label, one) for one in overlays_of(run, images)[:1]]
+    columns = [
+        Column("row", text=True, hide=0),
+        Column("outcome", text=True, hide=0),
+        _VERDICT,
+        Column("frame", text=True, hide=3),
+    ]
+    hint = [] if images.uris else [html.text("Overlays need the data: p2o report DIR --data DATASET:PATH", "quiet")]
+    table = html.table(columns, rows, name="worst", opens=opens)
+    return html.section("The worst run of each row", table, *([html.grid(*drawn)] if drawn else hint))
+
+
+def _errors(group: Group, metric: str, chosen: _Runs) -> list[Block]:
+    """Return the plots of a metric: of all runs, on a linear or logarithmic axis, and by frame."""
+    note = "All runs: quartiles, whiskers of 1.5 interquartile ranges, single points beyond for the runs below."
+    scales = {}
+    for name, log in (("linear", False), ("logarithmic: sizes without signs", True)):
+        boxes = figures.boxes(group, metric, log=log, opens=chosen.number)
+        scales[name] = [plot([replace(boxes, note=note)])]
+    first = differ_much(figures.errors_of(row, metric) for row in group.measured)
+    note = "Median and range over the seeds by frame. Of many frames, those with the largest errors."
+    frames = replace(figures.by_frame(group, metric, _largest(group), chosen.number), note=note)
+    return [html.grid(html.choice("scale", scales, first=int(first)), plot([frames]))]
+
+
+def _largest(group: Group) -> list[str]:
+    """Return the frames with the largest errors, in the order of the runs."""
     largest: dict[str, float] = {}
     for run in itertools.chain(*(row.rows for row in group.measured)):
         largest[run.place] = max(largest.get(run.place, -1.0), error_rank(run)[0])
     most = max(1, _MOST_POINTS // max(1, len(group.measured)))
     kept = set(sorted(largest, key=lambda place: -largest[place])[:most])
-    places = [place for place in largest if place in kept]
-    rows = []
-    for row, runs in enumerate(measured.rows for measured in group.measured):
-        members: dict[str, list[int]] = {place: [] for place in places}
-        for number, run in enumerate(runs):
-            if run.place in members:
-                members[run.place].append(number)
-        rows.append([_ranges(row, runs, some, numbers) for some in members.values()])
-    return {"places": places, "frames": rows}
+    return [place for place in largest if place in kept]
 
 
-def _ranges(
-    row: int, runs: Sequence[Row], members: Sequence[int], numbers: Mapping[tuple[int, int], int]
-) -> dict[str, list[float | int | None]]:
-    """Return by metric minimum, median and maximum error, and the number of the worst run if it is on the page."""
-    ranges: dict[str, list[float | int | None]] = {}
-    for metric in METRICS:
-        sizes = sorted((abs(size), i) for i in members if (size := runs[i].error_of(metric)) is not None)
-        if sizes:
-            values = [size for size, _ in sizes]
-            three = (values[0], statistics.median(values), values[-1])
-            ranges[metric] = [*map(brief, three), numbers.get((row, sizes[-1][1]))]
-    return ranges
-
-
-def _row(row: Statistics | Published, group: Group, norms: Sequence[str]) -> dict[str, Any]:
-    if isinstance(row, Published):
-        means = {metric: [brief(value), None, None] for metric, value in row.values.items()}
-        texts = {"label": row.label, "published": row.source, "note": row.note, "start": row.start or NONE}
-        return {**texts, "mean": means, "median": {}}
-    coverage = row.coverage
-    out: dict[str, Any] = {
-        "label": row.label,
-        "start": ", ".join(row.protocols) or NONE,
-        "runs": row.count,
-        "frames": row.frames,
-        "failures": ", ".join(f"{count} {status}" for status, count in row.failures.items()) or "0",
-        "failed": sum(row.failures.values()),
-        "trust": trust_text(row.trust) if row.trust else None,
-        "trusted": row.trusted if row.judged else None,
-        "falseAccepts": row.false_accepts if row.judged else None,
-        "outside": row.outside_95 if row.judged else None,
-        "unmoved": row.unmoved,
-        "predicted": predicted_text(row) if row.predicted else None,
-        "predictedSize": None if not row.predicted else brief(next(iter(row.predicted.values()))),
-        "coverage": [coverage.text_67, coverage.text_95] if coverage.count else None,
-        "coverageRotations": [coverage.within[f"rotation_deg{s}"] for s in ("", "_95")] if coverage.count else None,
-        "seconds": None if math.isnan(row.seconds) else row.seconds,
-        "time": brief_seconds(row.seconds),
-        "within": row.reached,
-        "worse": row.worse,
-        "best": [],
-    }
-    for statistic in ("mean", "median"):
-        values = {metric: getattr(row, statistic)(metric) for metric in METRICS}
-        known = {metric: value for metric, value in values.items() if value is not None}
-        out[statistic] = {metric: _interval(value) for metric, value in known.items()}
-        for metric, value in known.items():
-            first = best(group.measured, metric, statistic)
-            if row.complete and first is not None and round(value.value, DIGITS) == first:
-                out["best"].append(f"{metric} {statistic}")
-    return out
-
-
-def _run(run: Row, row: int, recipes: _Numbered, images: OverlayImages) -> dict[str, Any]:
-    shown = [
-        {"frame": frame, "before": images.of[run.key, frame][0], "after": images.of[run.key, frame][1]}
-        for frame in run.frames
-        if (run.key, frame) in images.of
-    ]
-    return {
-        "row": row,
-        "place": run.place,
-        "frames": run.frames if len(run.frames) > 1 else [],
-        "seed": run.seed,
-        "perturb": run.protocol,
-        "status": run.status,
-        "solved": run.solved,
-        "reason": run.reason,
-        "trust": run.trust,
-        "why": run.why or "",
-        "evidence": figure_lines(run.figures),
-        "costUnit": run.figures.get("cost_unit") or "",
-        "errors": [brief(run.error_of(metric)) for metric in METRICS],
-        "start": [brief(run.start_error_of(norm)) for norm in NORMS],
-        "matches": dict(run.matches),
-        "seconds": {stage: brief(value) for stage, value in run.seconds.items()},
-        "rounds": [
-            [r.stage, brief(r.reach_px), sum(r.matches.values()), *numbers, r.accepted]
-            for r in run.rounds
-            for numbers in [map(brief, (r.mean_residual, r.cost, r.step_deg, r.step_m))]
-        ],
-        "estimate": None if run.pose is None else np.round(run.pose, 9).tolist(),
-        "recipe": recipes.number(
-            {"recipe": {**run.method.words, "options": run.method.options}, "versions": dict(run.environment.versions)}
-        ),
-        "exception": run.exception or "",
-        "finished": run.finished,
-        "overlays": shown,
-    }
-
-
-def _rounds(history: Convergence) -> dict[str, Any]:
-    quartiles = {"matches": history.matches, "residual": history.residual_px}
-    return {"runs": history.runs, **{k: [[brief(x) for x in line] for line in v] for k, v in quartiles.items()}}
-
-
-def _pair(pair: Comparison) -> dict[str, Any]:
-    differences = {
-        metric: {"median": _interval(value.median), "better": brief(value.better), "tied": brief(value.tied)}
-        for metric, value in pair.differences.items()
-    }
-    names = {"row": pair.row, "against": pair.against, "pairs": pair.pairs, "otherStart": pair.other_start}
-    return {**names, "differences": differences}
-
-
-def _interval(value: Interval) -> list[float | None]:
-    return [brief(value.value), brief(value.low), brief(value.high)]
-
-
-def brief(value: float | str | None) -> float | None:
-    """Return a number with 6 significant digits; None for None and non-finite values, which stores keep as text."""
-    return None if value is None or not np.isfinite(float(value)) else float(f"{value:.{_SIGNIFICANT}g}")
+def _named(metric: str) -> str:
+    return f"{name_of(metric)} [{unit_of(metric)[0]}]"

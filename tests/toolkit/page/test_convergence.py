@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from p2o import InputError, Result, Status
 from p2o.draw.overlay import COLOURS
-from p2o.draw.plots import convergence
+from p2o.page.convergence import convergence as figure_of
+from p2o.page.figure import write_figure
 from p2o.results.evidence import Judged
 from p2o.solving import Round
 
@@ -20,6 +21,10 @@ def _result(rounds: tuple[Round, ...]) -> Result:
 
 def _round(matches: dict[str, int], residual: float = 1.0, *, accepted: bool = True) -> Round:
     return Round("refine", 20.0, matches, residual, 2.0, 0.1, 0.01, accepted)
+
+
+def convergence(result: Result, path: Path) -> None:
+    write_figure(figure_of(result), path)
 
 
 def _has(path: Path, letter: str) -> bool:
@@ -57,21 +62,16 @@ def test_a_missing_folder_is_an_error_of_ours(tmp_path: Path) -> None:
         convergence(_result(()), tmp_path / "nowhere" / "convergence.png")
 
 
-def test_costs_in_another_unit_have_their_own_axis_and_may_be_negative(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from matplotlib.figure import Figure
-
-    drawn: list[Figure] = []
-    monkeypatch.setattr(Figure, "savefig", lambda self, *_, **__: drawn.append(self))
+def test_costs_in_another_unit_have_a_panel_of_their_own() -> None:
     rounds = tuple(replace(_round({"L": 9}, 2.0 - i), cost=-1.0 - i) for i in range(2))
     judged = Judged("mutual-information", "bit", -0.5, -2.0)
+    panels = []
     for some in (rounds, tuple(replace(r, mean_residual=float("nan")) for r in rounds)):
-        convergence(replace(_result(some), judged=judged), tmp_path / "a.png")
-        convergence(_result(some), tmp_path / "b.png")
-    units = [[axis.get_ylabel() for axis in figure.axes] for figure in drawn]
+        panels += [figure_of(replace(_result(some), judged=judged)).panels, figure_of(_result(some)).panels]
+    units = [[panel.y.title for panel in each] for each in panels]
     assert units == [["matches", "pixels", "bit"], ["matches", "pixels"], ["matches", "bit"], ["matches", "pixels"]]
-    low, high = drawn[0].axes[2].get_ylim()
-    assert low <= -2.0 < -1.0 < high
-    labels = [text.get_text() for text in drawn[0].axes[1].get_legend().get_texts()]
-    assert labels == ["mean residual", "mutual-information"]
+    assert [series.name for panel in panels[0] for series in panel.series] == [
+        "L",
+        "mean residual",
+        "mutual-information",
+    ]

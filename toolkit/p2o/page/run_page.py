@@ -9,6 +9,7 @@ import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -17,7 +18,7 @@ import numpy as np
 
 from p2o.arrays import Float, UInt8
 from p2o.calibration_files.number_text import digits, listed, matrix_rows, plain, quaternion_xyzw, spaced
-from p2o.draw.one_file import number_text, part, rendered, webp_uri
+from p2o.draw.image_uri import webp_uri
 from p2o.errors import InputError
 from p2o.files.file_names import distinct_names
 from p2o.files.input_file import MAX_TEXT_BYTES, read_bytes, read_start, read_text
@@ -27,6 +28,9 @@ from p2o.geometry import se3
 from p2o.geometry.pose_error import AXES
 from p2o.geometry.pose_text import numbers
 from p2o.geometry.rpy import rpy_of
+from p2o.page import page
+from p2o.page.convergence import convergence
+from p2o.page.plot import plot
 from p2o.results.advice import next_steps
 from p2o.results.figures import result_lines, result_name, status_text
 from p2o.results.result import Result
@@ -75,7 +79,7 @@ class FrameOverlays:
 
 @dataclass(frozen=True)
 class Shown:
-    """One result in the JSON of a run, with its errors where the ground truth is known, in the form of the template."""
+    """One result in the JSON of a run, with its errors where the ground truth is known."""
 
     result: Result
     camera: str
@@ -87,67 +91,6 @@ class Shown:
     def name(self) -> str:
         """The title of the result."""
         return result_name(self.result, self.camera)
-
-    @property
-    def reasons(self) -> list[str]:
-        """The reasons of the verdict that the status does not state."""
-        verdict = self.result.verdict
-        texts = [reason.text for reason in verdict.reasons if reason.text != self.result.reason]
-        return texts or (["no doubts"] if verdict.trusted else [])
-
-    @property
-    def predicted(self) -> list[list[str]]:
-        """Predicted errors, overall and by axis, with the true errors where they are known; empty without any."""
-        accuracy, error = self.result.accuracy, self.error
-        rows = []
-        for name in ("rotation_deg", "translation_m", *AXES):
-            axis, _, unit = name.rpartition("_")
-            values = (getattr(accuracy, name, None), getattr(accuracy, f"{name}_95", None))
-            row = [f"{axis} [{unit}]", *(number_text(value, 2 if unit == "deg" else 3) for value in values)]
-            if error is not None:
-                row += [number_text(_map(e).get(name), 3) for e in (self.start_error, error)]
-            rows.append(row)
-        return [] if accuracy is None and error is None else rows
-
-    @property
-    def poses(self) -> dict[str, dict[str, str]]:
-        """The pose in common forms to copy, by direction; a refused result has its initial guess."""
-        pose = self.result.camera_from_lidar
-        transforms = {"camera_from_lidar": pose, "lidar_from_camera": se3.inverse(pose)}
-        return {
-            name: {
-                "matrix": _matrix(transform),
-                "quaternion": spaced(np.round([*transform[:3, 3], *quaternion_xyzw(transform)], _DECIMALS)),
-                "rpy": spaced(np.round(np.degrees(rpy_of(transform[:3, :3])), _DECIMALS)),
-            }
-            for name, transform in transforms.items()
-        }
-
-    @property
-    def ros_command(self) -> str:
-        """The shell command that publishes lidar_from_camera: metres, quaternion x y z w."""
-        lidar_from_camera = se3.inverse(self.result.camera_from_lidar)
-        values = plain(np.round([*lidar_from_camera[:3, 3], *quaternion_xyzw(lidar_from_camera)], _DECIMALS))
-        words = [f"--{key} {digits(value)}" for key, value in zip(_ROS_KEYS, values, strict=True)]
-        frames = "--frame-id lidar --child-frame-id camera_optical_frame"
-        return f"ros2 run tf2_ros static_transform_publisher {' '.join(words)} {frames}"
-
-    @property
-    def not_drawn(self) -> int:
-        """The number of frames without overlays on the page."""
-        return len(self.result.frames) - len(self.overlays)
-
-    def folders_of(self, folders: Mapping[str, str]) -> str:
-        """Return the folders of the first three frames as text."""
-        known = [folders[frame] for frame in self.result.frames[:3] if frame in folders]
-        return ", ".join(known) + (" ..." if self.not_drawn > 3 else "")
-
-    @property
-    def provenance(self) -> str:
-        """Recipe, seed and versions as JSON."""
-        result = self.result
-        content = {"recipe": dict(result.recipe), "seed": result.seed, "versions": dict(result.versions)}
-        return json.dumps(content, indent=1, ensure_ascii=False, default=str)
 
 
 def run_page(
@@ -166,27 +109,151 @@ def run_page(
         frames = [frame for one in shown for frame in one.result.frames]
         names = list(dict.fromkeys([*cameras, *frames, *(frame for frame, _ in failed)]))
         folders = distinct_names(names, taken=IN_ROOT)
-    rig = _rig(run["rig"]) if "rig" in run else None
-    common = rig is not None and rig["body_from_lidar"] is not None
+    rig = _map(run["rig"]) if "rig" in run else None
+    common = rig is not None and numbers(rig.get("body_from_lidar"), (4, 4)) is not None
     files = _Files(root, root if home is None else home)
     _add_overlays(files, shown, folders, common=common)
-    title = shown[0].name if len(shown) == 1 else f"{len(shown)} calibrations"
-    return rendered(
-        "p2o.draw/run_page.html",
-        style="p2o.draw/run_page.css",
-        scripts=(part("p2o.draw/run_page.js"),),
-        image_files=files.referenced,
-        title=f"{title}: p2o result",
-        results=shown,
-        failed=failed,
-        folders=folders,
-        rig=rig,
-        trusts=list(Trust),
-        next_steps=next_steps,
-        result_lines=result_lines,
-        status_text=status_text,
-        versions=shown[0].result.versions if shown else {},
+    blocks = [*([] if rig is None else [_rig(rig)]), *([_overview(shown)] if len(shown) > 1 else [])]
+    if failed:
+        blocks.append(page.text(f"{len(failed)} could not be calibrated:", "bad"))
+        blocks.append(page.items([f"{frame}: {reason}" for frame, reason in failed]))
+    blocks += [_result(number, one, folders) for number, one in enumerate(shown)]
+    versions = shown[0].result.versions if shown else {}
+    blocks.append(
+        page.section(
+            "",
+            page.text(
+                "67 % of results with these predicted errors are within the first bound, 95 % within the second. One "
+                "click selects a box of numbers. Dark images are brightened for display only; the gamma is stated in "
+                "the image.",
+                "quiet",
+            ),
+            page.text(", ".join(f"{name} {version}" for name, version in versions.items()), "quiet"),
+            ruled=True,
+        )
     )
+    title = shown[0].name if len(shown) == 1 else f"{len(shown)} calibrations"
+    return page.page(f"{title}: p2o result", blocks, image_files=files.referenced)
+
+
+def _overview(shown: Sequence[Shown]) -> page.Block:
+    """Return the table of all results, with links to them."""
+    bounds = [
+        ("rotation", "deg", 2),
+        ("translation", "m", 3),
+        ("rotation 95 %", "deg", 2),
+        ("translation 95 %", "m", 3),
+    ]
+    fields = ("rotation_deg", "translation_m", "rotation_deg_95", "translation_m_95")
+    looks = page.TRUST_LOOKS
+    columns = [
+        page.Column("result", text=True, of=lambda one: one.name),
+        page.Column(
+            "verdict", text=True, hide=0, order=list(Trust), looks=looks, of=lambda one: one.result.verdict.trust.value
+        ),
+        page.Column("status", text=True, hide=3, of=lambda one: status_text(one.result.status)),
+        *(
+            page.Column(*bound, hide=2, of=partial(_accuracy, name=name))
+            for bound, name in zip(bounds, fields, strict=True)
+        ),
+    ]
+    links = [page.link(f"result-{number}") for number in range(len(shown))]
+    note = page.text("Predicted errors (67 %, 95 %).", "quiet")
+    return page.section("Results", page.table(columns, shown, name="results", search=len(shown) > 9, opens=links), note)
+
+
+def _accuracy(one: Shown, name: str) -> float | None:
+    return page.brief(getattr(one.result.accuracy, name, None))
+
+
+def _result(number: int, one: Shown, folders: Mapping[str, str]) -> page.Block:
+    """Return the section of one result."""
+    result, verdict = one.result, one.result.verdict
+    reasons = [reason.text for reason in verdict.reasons if reason.text != result.reason]
+    reasons = reasons or (["no doubts"] if verdict.trusted else [])
+    blocks = [page.text(f"{status_text(result.status)}: {result.reason}", mark=verdict.trust.value)]
+    blocks += [page.items(reasons)] if reasons else []
+    next_to_do = page.part("What to do next", page.items(next_steps(result)))
+    blocks.append(page.grid(page.part("", _predicted(one), next_to_do), page.part("", *_poses(result))))
+    for frame in one.overlays:
+        size = (frame.width, frame.height)
+        edges, *others = [
+            page.slides(f"{frame.name}: {p.what}", p.left, p.right, p.ends, size, lazy=not p.left.startswith("data:"))
+            for p in frame.pairs
+        ]
+        tall = frame.height > frame.width
+        blocks.append({"kind": "light"})
+        blocks += [page.grid(edges, *others, least=300)] if tall else [edges, page.grid(*others, least=540)]
+    not_drawn = len(result.frames) - len(one.overlays)
+    if not_drawn:
+        known = [folders[frame] for frame in result.frames[:3] if frame in folders]
+        places = ", ".join(known) + (" ..." if not_drawn > 3 else "")
+        what = "further frames" if one.overlays else "frames"
+        blocks.append(page.text(f"Overlays of {not_drawn} {what} are in the folder of this page: {places}", "quiet"))
+    # The seconds have a table of their own.
+    evidence = [line for line in result_lines(result) if line[0] != "seconds"]
+    seconds = [(stage, f"{took:.2f} s") for stage, took in result.seconds.items()]
+    times = [page.part("Time", page.facts(seconds))] if seconds else []
+    rounds = [page.part("Rounds", page.table(ROUND_COLUMNS, result.rounds))] if result.rounds else []
+    blocks.append(page.grid(page.part("Evidence", page.facts(evidence)), page.part("", *rounds, *times)))
+    blocks += [plot(convergence(result).panels)] if result.rounds else []
+    content = {"recipe": dict(result.recipe), "seed": result.seed, "versions": dict(result.versions)}
+    recipe = json.dumps(content, indent=1, ensure_ascii=False, default=str)
+    blocks.append(page.fold("recipe, seed, versions", page.code(recipe)))
+    return page.section(one.name, *blocks, name=f"result-{number}", ruled=True)
+
+
+def _predicted(one: Shown) -> page.Block:
+    """Return predicted errors, overall and by axis, with the true errors where they are known."""
+    accuracy, error = one.result.accuracy, one.error
+    if accuracy is None and error is None:
+        return page.part("Predicted error", page.text("The error cannot be predicted: do not rely on this result."))
+    rows = []
+    for name in ("rotation_deg", "translation_m", *AXES):
+        axis, _, unit = name.rpartition("_")
+        values = (getattr(accuracy, name, None), getattr(accuracy, f"{name}_95", None))
+        row = [f"{axis} [{unit}]", *(page.number_text(value, 2 if unit == "deg" else 3) for value in values)]
+        if error is not None:
+            row += [page.number_text(_map(each).get(name), 3) for each in (one.start_error, error)]
+        rows.append(row)
+    names = ("67 %", "95 %", *(("initial error", "error") if error is not None else ()))
+    columns = [page.Column("axis", text=True), *map(page.Column, names)]
+    note = page.text("Camera axes: x right, y down, z forward.", "quiet")
+    return page.part("Predicted error", page.table(columns, rows), note)
+
+
+def _poses(result: Result) -> Iterator[page.Block]:
+    """Yield the pose in common forms to copy, by direction; a refused result has its initial guess."""
+    if not result.status.solved:
+        yield page.text("There is no new pose: this is the initial guess.", "bad")
+    camera_from_lidar = result.camera_from_lidar
+    lidar_from_camera = se3.inverse(camera_from_lidar)
+    for name, pose in (("camera_from_lidar", camera_from_lidar), ("lidar_from_camera", lidar_from_camera)):
+        vector = spaced(np.round([*pose[:3, 3], *quaternion_xyzw(pose)], _DECIMALS))
+        angles = spaced(np.round(np.degrees(rpy_of(pose[:3, :3])), _DECIMALS))
+        yield page.code(_matrix(pose), f"{name}, 4x4", paste=True)
+        yield page.code(vector, f"{name}, x y z [m], quaternion x y z w", paste=True)
+        yield page.code(angles, f"{name}, roll pitch yaw [deg]: R = Rz(yaw) Ry(pitch) Rx(roll)", paste=True)
+    yield page.text("Rounded to 9 decimals; result.json has all digits.", "quiet")
+    axes = "Axes of camera_optical_frame: x right, y down, z forward."
+    yield page.text(f"Static transform lidar_from_camera of ROS 2. {axes}", "quiet")
+    values = plain(np.round([*lidar_from_camera[:3, 3], *quaternion_xyzw(lidar_from_camera)], _DECIMALS))
+    words = " ".join(f"--{key} {digits(value)}" for key, value in zip(_ROS_KEYS, values, strict=True))
+    command = f"ros2 run tf2_ros static_transform_publisher {words}"
+    yield page.code(f"{command} --frame-id lidar --child-frame-id camera_optical_frame", "ROS 2", paste=True)
+
+
+ROUND_COLUMNS = (
+    page.Column("stage", text=True, of=lambda one: one.stage),
+    page.Column("reach", "px", hide=3, of=lambda one: page.cell(page.brief(one.reach_px), f"{one.reach_px:.3g}")),
+    page.Column("matches", of=lambda one: sum(one.matches.values())),
+    page.Column("residual", "px", 3, of=lambda one: page.brief(one.mean_residual)),
+    page.Column("cost", digits=3, hide=2, of=lambda one: page.brief(one.cost)),
+    page.Column("step", "deg", 3, hide=2, of=lambda one: page.brief(one.step_deg)),
+    page.Column("step", "m", 3, hide=3, of=lambda one: page.brief(one.step_m)),
+    page.Column("kept", text=True, of=lambda one: "yes" if one.accepted else "no"),
+)
+"""The columns of rounds."""
 
 
 def page_of_folder(root: Path, home: Path | None = None) -> str:
@@ -207,10 +274,10 @@ def write_page_of_folder(root: Path, out: Path | None = None) -> Path:
     Raises InputError as `page_of_folder`, and where it cannot be written.
     """
     home = root if out is None else out
-    page = page_of_folder(root, home)
+    html = page_of_folder(root, home)
     with write_errors("the page", home):
         home.mkdir(parents=True, exist_ok=True)
-    write_whole(home / PAGE, page.encode())
+    write_whole(home / PAGE, html.encode())
     return home / PAGE
 
 
@@ -323,21 +390,23 @@ def _no_png(path: Path) -> InputError:
     return InputError("the overlay is not a PNG image", where=path, expected="a file that p2o run has written")
 
 
-def _rig(rig: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the common result of a rig in the form of the template; values of other types count as unknown."""
+def _rig(rig: Mapping[str, Any]) -> page.Block:
+    """Return the common result of a rig; values of other types count as unknown."""
     accuracy, body = _map(rig.get("accuracy")), numbers(rig.get("body_from_lidar"), (4, 4))
-    cameras = []
+    blocks = [page.text(str(rig.get("reason", "")), mark=str(_map(rig.get("verdict")).get("trust")))]
+    if accuracy:
+        angle, length = (page.number_text(accuracy.get(n), d) for n, d in (("rotation_deg", 2), ("translation_m", 3)))
+        blocks.append(page.text(f"Predicted error (67 %): {angle} deg and {length} m."))
+    blocks += [] if body is None else [page.code(_matrix(body), "body_from_lidar, 4x4", paste=True)]
+    rows = []
     for its in map(_map, rig.get("cameras") or ()):
         figures = (("rotation_deg", 2), ("translation_m", 3), ("chi_square", 1))
-        values = [number_text(its.get(name), places) for name, places in figures]
-        cameras.append([its.get("name"), *values, its.get("left_out", "")])
-    return {
-        "verdict": {"trust": str(_map(rig.get("verdict")).get("trust"))},
-        "reason": rig.get("reason", ""),
-        "accuracy": {name: accuracy.get(name) for name in ("rotation_deg", "translation_m")} if accuracy else None,
-        "body_from_lidar": None if body is None else _matrix(body),
-        "cameras": cameras,
-    }
+        values = [page.number_text(its.get(name), places) for name, places in figures]
+        rows.append([str(its.get("name")), *values, str(its.get("left_out", ""))])
+    named = page.Column("camera", text=True)
+    columns = [named, page.Column("from the others", "deg"), page.Column("from the others", "m")]
+    columns += [page.Column("chi-square (6)"), page.Column("left out", text=True)]
+    return page.section("Rig", *blocks, page.table(columns, rows, name="rig"))
 
 
 def _matrix(pose: Float) -> str:
