@@ -168,9 +168,9 @@ class Store:
                 try:
                     write_synced(path, content.getvalue())
                     break
-                except InputError:
+                except InputError as problem:
                     if path.parent.exists() or attempt == _ATTEMPTS - 1:  # else another process removed the folder
-                        raise
+                        raise problem.__cause__ or problem from None
             for folder in (path.parent, path.parent.parent, self.checks_folder):
                 sync_folder(folder)
         return path
