@@ -1,7 +1,6 @@
 """Measure the repository: lines per package, words of docs, rooms and imports of the toolkit, longest functions.
 
-    python benchmarks/structure.py            this tree
-    python benchmarks/structure.py PATH       another checkout
+    python benchmarks/structure.py [PATH]     this tree or another checkout
 
 Lines are those of Python files, words those of Markdown pages in docs/, rows the files of benchmarks/results. Rooms are
 the folders and modules directly in toolkit/p2o, without the public modules `p2o`, `p2o.solving` and `p2o.reading`. An
@@ -12,6 +11,7 @@ imports itself through others.
 from __future__ import annotations
 
 import ast
+import inspect
 import json
 import re
 import subprocess
@@ -20,8 +20,9 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-PACKAGES = ("toolkit", "plugins", "baselines")
-PUBLIC = {"__init__", "__main__", "solving", "reading"}
+import p2o
+
+PACKAGES, PUBLIC = ("toolkit", "plugins", "baselines"), {"__init__", "__main__", "solving", "reading"}
 
 
 def lines(paths: Iterable[Path]) -> int:
@@ -58,9 +59,8 @@ def circle(roots: Iterable[Path]) -> list[str]:
     imports: dict[str, set[str]] = defaultdict(set)
     packages = {folder.name: folder for root in roots for folder in root.iterdir() if (folder / "__init__.py").exists()}
     for name, folder in packages.items():
-        imports[name] = {parts[0] for path in folder.rglob("*.py") for parts in imported(path)} & packages.keys() - {
-            name
-        }
+        imports[name] = {parts[0] for path in folder.rglob("*.py") for parts in imported(path)} & packages.keys()
+        imports[name].discard(name)
     for _ in packages:
         for name in packages:
             imports[name] |= {far for near in set(imports[name]) for far in imports[near]}
@@ -81,10 +81,17 @@ def most_complex(root: Path) -> tuple[int, str]:
     """Return the highest cyclomatic complexity (McCabe, as ruff computes it) and the name of the function."""
     command = ["ruff", "check", "--isolated", "--select", "C901", "--config", "lint.mccabe.max-complexity=10"]
     command += ["--output-format", "json", "--exit-zero", *PACKAGES]
-    ruff = Path(sys.executable).with_name(command[0])
-    done = subprocess.run([str(ruff), *command[1:]], cwd=root, capture_output=True, text=True, check=True)
+    command[0] = str(Path(sys.executable).with_name(command[0]))
+    done = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True)
     matches = (re.search(r"`(.+)` is too complex \((\d+)", row["message"]) for row in json.loads(done.stdout))
     return max((int(match[2]), match[1]) for match in matches if match)
+
+
+def options() -> tuple[int, int, int]:
+    """Return the options of the installed methods, those declared once (not inherited), and the number of methods."""
+    classes = [offer.method.options for offer in p2o.Registry.load(environ={}).offers]
+    declared = {(base, name) for kind in classes for base in kind.__mro__ for name in inspect.get_annotations(base)}
+    return sum(len(kind.model_fields) for kind in classes), len(declared), len(classes)
 
 
 def main() -> None:
@@ -107,6 +114,7 @@ def main() -> None:
         ("toolkit/p2o", len(rooms), f"rooms, {len(pairs)} arrows"),
     ]:
         print(f"{name:28} {count:7} {unit}")
+    print("options: {} ({} declarations) of {} methods".format(*options()))
     print(f"packages in a circle of imports: {', '.join(circle(root / package for package in PACKAGES)) or 'none'}")
     print("longest function: {} lines ({})".format(*longest_function(paths)))
     print("highest complexity: {} ({})".format(*most_complex(root)))
