@@ -330,9 +330,10 @@ _MARKS = {"": "", "bold": "**", "italic": "*"}
 
 def markdown_table(table: Table) -> str:
     """Return a table in Markdown, without its caption."""
-    lines = [[md_text(text) for text in table.header], [":--", *["--:"] * (len(table.header) - 1)]]
+    lines = [[md_text(text) for text in table.header]]
     lines += [[f"{_MARKS[cell.style]}{md_text(cell.text)}{_MARKS[cell.style]}" for cell in row] for row in table.rows]
-    return "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
+    head, *rows = [f"| {' | '.join(cells)} |\n" for cells in lines]
+    return f"{head}|:--{'|--:' * (len(table.header) - 1)}|\n{''.join(rows)}"
 
 
 _STYLES = {"": "{}", "bold": r"\textbf{{{}}}", "italic": r"\textit{{{}}}"}

@@ -23,7 +23,7 @@ def convergence(result: Result) -> Figure:
     """
     rounds = result.rounds
     numbers = range(1, len(rounds) + 1)
-    x = Axis("round" if all(r.accepted for r in rounds) else "round (hollow: rejected)")
+    x = Axis("round" if all(r.accepted for r in rounds) else "round (hollow: rejected)", whole=True)
     counts = {side.letter: [r.matches.get(side.letter, 0) for r in rounds] for side in SIDES}
     rest = [
         sum(r.matches.values()) - sum(some) for r, some in zip(rounds, zip(*counts.values(), strict=True), strict=True)

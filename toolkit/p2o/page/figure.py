@@ -154,7 +154,7 @@ def _scale(axis: Any, name: str, scale: Axis) -> None:
     elif scale.zero:
         low, high = getattr(axis, f"get_{name}lim")()
         axis.set(**{f"{name}lim": (min(0.0, low), max(0.0, high))})
-    if scale.title == "round":
+    if scale.whole:
         own.set_major_locator(MaxNLocator(integer=True))
 
 

@@ -259,7 +259,7 @@ function ticksOf(axis, low, high) {
     return [[1], [1, 3], [1, 2, 5], [1, 2, 3, 4, 5, 6, 7, 8, 9]].map(of).find((ticks) => ticks.length > 2) ?? of([1, 2, 3, 4, 5, 6, 7, 8, 9]);
   }
   if (axis.time) return [0.1, 0.5, 0.9].map((share) => low + share * (high - low)).map((time) => [time, new Date(1000 * time).toISOString().slice(0, high - low < 3e5 ? 16 : 10).replace("T", " ")]);
-  const raw = (high - low) / 5, power = 10 ** Math.floor(Math.log10(raw)), wide = [1, 2, 5, 10].map((factor) => factor * power).find((each) => each >= raw);
+  const raw = Math.max((high - low) / 5, axis.whole ? 1 : 0), power = 10 ** Math.floor(Math.log10(raw)), wide = [1, 2, 5, 10].map((factor) => factor * power).find((each) => each >= raw);
   const ticks = [];
   for (let n = Math.ceil(low / wide); n * wide <= high; n++) ticks.push([n * wide, String(Number((n * wide).toPrecision(6)))]);
   return ticks;

@@ -13,7 +13,7 @@ Form = Literal["points", "line", "box", "bars"]
 
 @dataclass(frozen=True)
 class Axis:
-    """An axis: its title, whether it is logarithmic, a time in s since 1970 or includes 0.
+    """An axis: its title, whether it is logarithmic, a time in s since 1970, includes 0, or has whole numbers only.
 
     With `names` it has a place for each of them, from 0; `low` and `high` limit a linear axis.
     """
@@ -22,6 +22,7 @@ class Axis:
     log: bool = False
     time: bool = False
     zero: bool = False
+    whole: bool = False
     names: Sequence[str] = ()
     low: float | None = None
     high: float | None = None

@@ -73,7 +73,7 @@ def line_columns() -> list[Column]:
         Column("trusted", hide=3, of=lambda one: one.summary.trusted if one.summary.judged else None),
         Column("false accepts", hide=2, of=lambda one: one.summary.false_accepts if one.summary.judged else None),
         Column("outside 95 %", hide=3, of=lambda one: one.summary.outside_95 if one.summary.judged else None),
-        Column("not moved", hide=5, of=lambda one: one.summary.unmoved or None),
+        Column("not moved", hide=5, of=lambda one: one.summary.unmoved),
         Column("coverage 67 %", hide=5, of=partial(_covered, names=BOUNDS[:2])),
         Column("coverage 95 %", hide=4, of=partial(_covered, names=BOUNDS[2:])),
         Column(

@@ -127,7 +127,7 @@ def rounds(group: Group) -> list[Panel]:
                 count = range(1, len(middle) + 1)
                 named = f"{label} ({history.runs} runs)"
                 series.append(Series(named, count, middle, "line", low=low, high=high, band=True))
-        panels.append(Panel(Axis("round"), Axis(title, log=log, zero=not log), series))
+        panels.append(Panel(Axis("round", whole=True), Axis(title, log=log, zero=not log), series))
     return panels if panels[0].series else []
 
 
