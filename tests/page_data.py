@@ -107,5 +107,6 @@ def linked(world: Path, folder: Path) -> Path:
     """Make a folder of which every entry is a link to the stand-ins, and return it: what is written stays apart."""
     for entry in world.iterdir():
         (folder / entry.name).symlink_to(entry)
-    (folder / "benchmarks").symlink_to(ROOT / "benchmarks")
+    for name in ("benchmarks", "baselines"):
+        (folder / name).symlink_to(ROOT / name)
     return folder

@@ -60,8 +60,12 @@ def test_a_disk_that_fills_up_under_the_cache_costs_time_alone(bench: Bench, mon
     expected = bench.run(ONE)
     forget()
 
-    def full(*_: object) -> None:
-        raise OSError(28, "No space left on device")
+    replace = os.replace
+
+    def full(source: str, target: str) -> None:
+        if Path(target).is_relative_to(bench.root / "cache"):
+            raise OSError(28, "No space left on device")
+        replace(source, target)
 
     monkeypatch.setattr(os, "replace", full)
     told: list[str] = []
@@ -189,7 +193,7 @@ def test_a_full_disk_is_one_line_and_exit_2(bench: Bench) -> None:
     assert (len(done.rows), done.computed) == (180, 180 - len(kept))
 
 
-@pytest.mark.parametrize("limit", [12, 20])
+@pytest.mark.parametrize("limit", [12, 14])
 def test_too_few_open_files_are_one_line_that_names_the_limit_and_the_next_step(bench: Bench, limit: int) -> None:
     (bench.root / "s.toml").write_text(QUICK)
     command = [sys.executable, "-m", "p2o", "ablate", str(bench.root / "s.toml"), "--plugin", str(PLUGIN)]
