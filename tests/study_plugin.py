@@ -161,7 +161,7 @@ def build_quick(options: QuickOptions) -> p2o.Calibrator:
         assert all(frame.camera_from_lidar is None for frame in frames)
         error = se3.log(se3.inverse(TRUTH) @ start)
         pose = TRUTH @ se3.exp(options.gain * error)
-        note("quick", names[0], f"{np.abs(start).sum():.6f}")
+        note("quick", names[0], f"{np.abs(np.round(start, 9)).sum():.6f}")
         # A sum that BLAS cuts up by threads: with another number of them the last bits differ.
         numbers = np.random.default_rng(len(names)).normal(size=200_000)
         reason = f"as told, {numbers @ numbers:.17g}"
