@@ -17,7 +17,7 @@ START_DEG, START_M = 2.0, 0.15
 GOOD_DEG, GOOD_M = 0.5, 0.15
 WRONG_DEG, WRONG_M = 1.0, 0.3
 """A trusted result with a larger error is a false accept."""
-SPLITS = Path(__file__).with_name("splits.json")
+SPLITS = Path(__file__).parents[1] / "baselines/p2o_baselines/suites/splits.json"
 
 
 STUDY = """name = "{name}"

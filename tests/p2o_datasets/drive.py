@@ -60,7 +60,7 @@ def picture(path: Any, width: int, height: int, grey: int) -> None:
 
 
 def check_projection(frame: Frame, expected: Any, least: int, most_px: float, chosen: Any = ...) -> None:
-    """Check that the frame shows its chosen points where they are expected, at least so many of them in the image."""
+    """Check that a frame has its chosen points where they are expected, and at least a given number in the image."""
     seen = frame.camera.project(se3.apply(frame.camera_from_lidar, frame.cloud.xyz))[chosen]
     inside = frame.camera.in_image(expected)
     assert inside.sum() > least
