@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 from adversarial_cases import NO_POSE, NOT_OBSERVABLE, SOURCES, Change, Source, changes_of
-from common import (
+from limits_and_tables import (
     SPLITS,
     START_DEG,
     START_M,

@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import add_row, read_rows, table
+from limits_and_tables import add_row, read_rows, table
 from p2o.arrays import Float
 from p2o.calibration.options import PipelineOptions
 from p2o.confidence.audit import AXES, EdgeStep, Evidence, Rates, audit, edge_step

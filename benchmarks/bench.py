@@ -32,7 +32,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from common import STUDY, table
+from limits_and_tables import STUDY, table
 
 ROOT = Path(__file__).resolve().parents[1]
 HOME = ROOT / "build" / "bench"

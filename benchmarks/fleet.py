@@ -18,9 +18,9 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from common import table
 from fleet_detection import detect
 from fleet_drives import real
+from limits_and_tables import table
 from p2o_fleet.fleet_state import fleet_state
 from p2o_fleet.simulation import Fault, NoiseBank, Scenario, simulated_fleet, write_fleet
 from p2o_fleet.store import Store

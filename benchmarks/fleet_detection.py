@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from common import table
+from limits_and_tables import table
 from p2o.arrays import Bool, Float, Int
 from p2o.confidence.audit import AXES
 from p2o_fleet.simulation import Fault, NoiseBank, Scenario, SimulatedVehicle, simulated_fleet

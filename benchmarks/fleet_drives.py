@@ -18,7 +18,7 @@ from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
-from common import SPLITS, size, table
+from limits_and_tables import SPLITS, size, table
 from p2o.confidence.audit import AXES
 from p2o.confidence.explanation import corrected
 from p2o.errors import InputError

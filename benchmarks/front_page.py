@@ -11,7 +11,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import p2o
-from common import write_webp
+from limits_and_tables import write_webp
 from p2o.arrays import Float, UInt8
 from p2o.draw.sweep_image import draw_sweep
 from p2o.run.recipe import open_dataset

@@ -22,7 +22,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from common import grouped, is_wrong, size, table
+from limits_and_tables import grouped, is_wrong, size, table
 from p2o import Registry
 from p2o.frames.frame import Frame
 from p2o.geometry.perturb import parse_perturbation

@@ -33,7 +33,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-from common import STUDY
+from limits_and_tables import STUDY
 from p2o_fleet.drive import drives_of
 from p2o_fleet.evidence import Verdict
 from p2o_fleet.run import run_fleet

@@ -31,7 +31,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from common import add_row, table
+from limits_and_tables import add_row, table
 
 _SOURCES = ("toolkit", "plugins", "baselines")
 _MOST_IMPORTERS, _FEW = 8, 3

@@ -13,7 +13,7 @@ import argparse
 
 import numpy as np
 import p2o
-from common import write_webp
+from limits_and_tables import write_webp
 from p2o.draw.overlay import before_after, draw
 from p2o.frames.scale import image_at_scale
 from p2o.run.pipeline import Pipeline

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from common import START_DEG, START_M, is_wrong
+from limits_and_tables import START_DEG, START_M, is_wrong
 from p2o.geometry.perturb import wrong_start
 from p2o.geometry.pose_error import PoseError, pose_error
 from p2o.results.result import Result

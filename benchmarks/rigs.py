@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
-from common import SPLITS, cached
+from limits_and_tables import SPLITS, cached
 from p2o.arrays import Float
 from p2o.cache import FeatureCache, content_hash
 from p2o.features.view import View

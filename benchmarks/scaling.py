@@ -25,7 +25,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from common import STUDY, table
+from limits_and_tables import STUDY, table
 from p2o import P2OError, Registry
 from p2o.cache import FeatureCache
 from p2o_study.ablate import ablate

@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from common import START_DEG, START_M
+from limits_and_tables import START_DEG, START_M
 from p2o.arrays import Float
 from p2o.geometry.perturb import wrong_start
 from p2o.geometry.pose_error import pose_error

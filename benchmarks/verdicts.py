@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 import p2o.confidence.assessment as assessment
-from common import START_DEG, START_M, add_row, grouped, is_good, is_wrong, read_rows, size, table
+from limits_and_tables import START_DEG, START_M, add_row, grouped, is_good, is_wrong, read_rows, size, table
 from p2o.arrays import Float
 from p2o.calibration.options import PipelineOptions
 from p2o.confidence.accuracy import DEFAULT_ERROR_MODEL, ErrorBudget, ErrorModel, likely_accuracy, or_rival

@@ -6,12 +6,13 @@ import json
 import re
 from pathlib import Path
 
+import limits_and_tables
 import pytest
 from p2o.frames.selection import select
 
 ROOT = Path(__file__).parents[2]
 FILE = "baselines/p2o_baselines/suites/splits.json"
-SPLITS: dict[str, list[str]] = json.loads((ROOT / FILE).read_text(encoding="utf-8"))
+SPLITS: dict[str, list[str]] = json.loads(limits_and_tables.SPLITS.read_text(encoding="utf-8"))
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), *sorted((ROOT / "benchmarks").glob("*.py"))]
 
 

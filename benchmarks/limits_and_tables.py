@@ -1,4 +1,4 @@
-"""Shared by the scripts: limits of good and wrong poses, Markdown tables, and files of rows that are continued."""
+"""Limits of good and wrong poses, Markdown tables, and files of rows that are continued, for the scripts."""
 
 from __future__ import annotations
 
