@@ -85,7 +85,7 @@ def test_a_frame_of_no_drive_is_refused() -> None:
 def test_the_initializer_says_why_there_is_no_start() -> None:
     views = [replace(stage.view(), prepared=moment(0)), stage.view()]
     with pytest.raises(p2o.InputError, match="no start from motion: 0 steps"):
-        hand_eye.HandEyeStart(hand_eye.HandEyeOptions())(views, TRUTH)
+        hand_eye.build_start(hand_eye.HandEyeOptions())(views, TRUTH)
 
 
 # ---- corners with the sweeps' depth

@@ -24,7 +24,7 @@ from p2o_baselines.information.reflectance_view import (
 from p2o_baselines.learned import feature_networks, matches
 from p2o_baselines.learned.feature_networks import FEATURES, Keypoints, files_of
 from p2o_baselines.learned.matched_pose import Matches, pose_of
-from p2o_baselines.learned.matches import FrameMatches, MatchesCalibration, MatchesOptions, MatchesStart, pooled
+from p2o_baselines.learned.matches import FrameMatches, MatchesCalibration, MatchesOptions, pooled, start_of
 from p2o_testing import stage
 
 AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
@@ -249,7 +249,7 @@ def test_too_few_matches_are_refused_with_the_initial_guess_and_as_initializer_w
     assert "0 of 0 matches of features agree on a pose, and 20 are needed" in result.reason
     view = replace(stage.view(), prepared=prepared)
     with pytest.raises(p2o.InputError, match=r"no start from matched features.*--accumulate"):
-        MatchesStart(method)([view], start)
+        start_of(method)([view], start)
 
 
 def test_an_image_known_to_be_upright_is_not_turned() -> None:

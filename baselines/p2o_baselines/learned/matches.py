@@ -41,6 +41,7 @@ from p2o_baselines.information.reflectance_view import (
 )
 from p2o_baselines.learned.feature_networks import FEATURES, KeypointMatcher, Keypoints, files_of, read_networks
 from p2o_baselines.learned.matched_pose import MatchedPose, Matches, pose_of, rotations_of
+from p2o_baselines.start_by_calibrator import StartByCalibrator
 
 _SURE = 2.0
 """The upright image is enough if this many times the required places agree."""
@@ -193,25 +194,6 @@ class MatchesCalibration:
         return replace(result, seconds={"pose": time.perf_counter() - began})
 
 
-class MatchesStart(p2o.InitializerBase):
-    """The initializer: the same from all frames, handed on to the matcher."""
-
-    def __init__(self, method: MatchesCalibration) -> None:
-        self._method = method
-
-    def prepare(self, frame: p2o.Frame) -> FrameMatches:
-        """Return the matches of a frame."""
-        return self._method.prepare(frame)
-
-    def __call__(self, views: Sequence[p2o.View], camera_from_lidar: Float) -> list[Float]:
-        """Return the pose of the matches of all frames. Raises InputError if too few agree."""
-        result = self._method.solve([view.prepared for view in views if view.prepared is not None], camera_from_lidar)
-        if not result.status.solved:
-            hint = "denser sweeps (--accumulate, or a static LiDAR), --joint, or --init far"
-            raise p2o.InputError("no start from matched features: " + result.reason, hint=hint)
-        return [result.camera_from_lidar]
-
-
 def joined(name: str, parts: Sequence[FrameMatches]) -> FrameMatches:
     """Return the matches of one frame from its parts."""
     none = np.empty(0, np.int64)
@@ -248,7 +230,13 @@ def build(options: MatchesOptions) -> p2o.Calibrator:
 
 def build_start(options: MatchesOptions) -> p2o.Initializer:
     """Return the initializer. Raises MethodUnavailable if the weights are not installed."""
-    return MatchesStart(MatchesCalibration(options, _networks(options)))
+    return start_of(MatchesCalibration(options, _networks(options)))
+
+
+def start_of(method: MatchesCalibration) -> StartByCalibrator:
+    """Return the initializer of a calibrator."""
+    hint = "denser sweeps (--accumulate, or a static LiDAR), --joint, or --init far"
+    return StartByCalibrator(method, "matched features", hint)
 
 
 METHOD = p2o.Method(

@@ -42,6 +42,7 @@ from p2o_baselines.motion.lidar_tracks import MetricStep, metric_step, trackable
 from p2o_baselines.motion.moments import Moment, MotionCalibration, MotionOptions, RefusedError, Run
 from p2o_baselines.motion.sensor_delay import Delay, Drive, delay_of
 from p2o_baselines.motion.visual_odometry import CameraStep, camera_step, follow_on, followed
+from p2o_baselines.start_by_calibrator import StartByCalibrator
 
 _TURN_RAD = np.radians(0.05)
 """Deviation of a camera's turn by corners alone, an axis: it only weighs turns against directions of motion."""
@@ -282,25 +283,6 @@ def _contradictions(off_px: float, drift: Float) -> Iterator[str]:
         yield f"the LiDAR's motion seems wrong by {wrong} in every step: predicted errors are larger for it"
 
 
-class HandEyeStart(p2o.InitializerBase):
-    """The initializer: the same from frames of one drive together, handed on to the matcher."""
-
-    def __init__(self, options: HandEyeOptions) -> None:
-        self._method = HandEyeCalibration(options)
-
-    def prepare(self, frame: p2o.Frame) -> Moment:
-        """Return what is needed of a frame."""
-        return self._method.prepare(frame)
-
-    def __call__(self, views: Sequence[p2o.View], camera_from_lidar: Float) -> list[Float]:
-        """Return the pose that the motion determines. Raises InputError if it does not determine one."""
-        result = self._method.solve([view.prepared for view in views if view.prepared is not None], camera_from_lidar)
-        if not result.status.solved:
-            hint = "--joint with frames of one drive, or --init search"
-            raise p2o.InputError("no start from motion: " + result.reason, hint=hint)
-        return [result.camera_from_lidar]
-
-
 def build(options: HandEyeOptions) -> p2o.Calibrator:
     """Return the calibrator. Raises ModuleNotFoundError if the package of the odometry is missing."""
     moments.require_odometry(options.lidar)
@@ -310,7 +292,8 @@ def build(options: HandEyeOptions) -> p2o.Calibrator:
 def build_start(options: HandEyeOptions) -> p2o.Initializer:
     """Return the initializer. Raises ModuleNotFoundError if the package of the odometry is missing."""
     moments.require_odometry(options.lidar)
-    return HandEyeStart(options)
+    hint = "--joint with frames of one drive, or --init search"
+    return StartByCalibrator(HandEyeCalibration(options), "motion", hint)
 
 
 METHOD = p2o.Method(
