@@ -22,20 +22,25 @@ $(VENV)/.installed: $(VENV)/.locked $(SOURCES)
 	$(VENV)/bin/python -m pip install -q --disable-pip-version-check --no-deps --force-reinstall build/wheel/*.whl
 	touch $@
 
+# Weights for research only, which some tests and suites need; `make run` does not.
+$(VENV)/.research: $(VENV)/.installed plugins/kitti_weights/pyproject.toml
+	$(VENV)/bin/python -m pip install -q --disable-pip-version-check --no-deps --no-build-isolation ./plugins/kitti_weights
+	touch $@
+
 run: $(VENV)/.installed
 	$(VENV)/bin/p2o run --out p2o-out
 
 # One thread per process: BLAS and PyTorch threads of several processes would wait for each other. Tests of one file stay
 # in one process, which shares their fixtures; idle processes take over tests of others.
-test: $(VENV)/.installed
+test: $(VENV)/.research
 	OMP_NUM_THREADS=1 P2O_STRICT=1 $(VENV)/bin/python -m pytest -q -n $(JOBS) --dist worksteal --durations=40 -m "not system"
 
 # Fuzzing, killed processes, browsers, the lines of the docs, distributions and long studies.
-test-system: $(VENV)/.installed
+test-system: $(VENV)/.research
 	OMP_NUM_THREADS=1 P2O_STRICT=1 $(VENV)/bin/python -m pytest -q -n $(JOBS) --dist worksteal -m system
 
 # Mutated inputs at every door (docs/reliability.md): make fuzz CASES=20000 SEED=0
-fuzz: $(VENV)/.installed
+fuzz: $(VENV)/.research
 	$(VENV)/bin/python -m tests.fuzz --cases $(CASES) --seed $(SEED) --jobs $(JOBS)
 
 # What each step costs, also of another commit in turns (docs/performance.md): make bench BENCH="--against-commit REV"
@@ -46,11 +51,11 @@ lint: $(VENV)/.locked
 	$(VENV)/bin/ruff check . && $(VENV)/bin/ruff format --check . && $(VENV)/bin/mypy
 
 # The site of docs/, with strict links, in build/site.
-docs: $(VENV)/.installed
+docs: $(VENV)/.research
 	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/python -m mkdocs build --strict -q
 
 dev: $(VENV)/.locked
-	$(VENV)/bin/python -m pip install -q --disable-pip-version-check --no-deps --no-build-isolation -e .
+	$(VENV)/bin/python -m pip install -q --disable-pip-version-check --no-deps --no-build-isolation -e . -e ./plugins/kitti_weights
 	rm -f $(VENV)/.installed
 
 clean:

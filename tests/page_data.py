@@ -15,6 +15,8 @@ from p2o.run.recipe import open_dataset
 from tests.bag_files import messages_of, odometry, write_bag
 from tests.pages import ROOT, blocks
 
+KITTI_WEIGHTS = ROOT / "plugins/kitti_weights/p2o_kitti_weights"
+
 SMALL = "width_px=320&height_px=120&right=false"
 KITTI = "PATH"
 """A drive of KITTI raw in the layout of its dataset."""
@@ -50,11 +52,9 @@ def written(root: Path) -> Path:
     for name in ("test_13.txt", "mine.csv"):
         np.savetxt(root / name, np.full((1000, 6), 0.01), delimiter=",")
     (root / "trained").mkdir()
-    shutil.copy(
-        ROOT / "plugins/p2o_plugins/weights/p2ornet-synthetic.safetensors", root / "trained/weights.safetensors"
-    )
+    shutil.copy(ROOT / "plugins/p2o_plugins/weights/p2ornet-free.safetensors", root / "trained/weights.safetensors")
     (root / "lccnet").mkdir()
-    shutil.copy(ROOT / "baselines/p2o_baselines/weights/lccnet-small.safetensors", root / "lccnet/weights.safetensors")
+    shutil.copy(KITTI_WEIGHTS / "lccnet-small.safetensors", root / "lccnet/weights.safetensors")
     (root / "trained/weights.json").write_text('{"level": 30}')
     return root
 

@@ -83,7 +83,7 @@ def test_the_wheel_holds_every_file_of_the_packages_and_nothing_else(wheel: Path
         about = {name.partition(".dist-info/")[2] for name in held.namelist()} - {""}
     assert names == wanted
     for name in (
-        "p2o_plugins/weights/p2ornet-kitti.safetensors",
+        "p2o_plugins/weights/p2ornet-free.safetensors",
         "p2o_plugins/weights/MODEL_CARD.md",
         "p2o_baselines/studies/smoke.toml",
         "p2o_testing/plugin_template/slots/matcher.py.txt",
@@ -98,7 +98,7 @@ def test_the_wheel_says_what_it_is_and_what_it_needs(wheel: Path) -> None:
         [name] = [name for name in held.namelist() if name.endswith(".dist-info/METADATA")]
         said = email.message_from_bytes(held.read(name))
     assert said["Name"] == "p2o-calib"
-    assert said["License-Expression"] == "Apache-2.0 AND CC-BY-NC-SA-3.0"  # code, and weights trained on KITTI
+    assert said["License-Expression"] == "Apache-2.0"
     assert said["Description-Content-Type"] == "text/markdown"
     assert "# p2o" in said.get_payload()
     assert {"ros", "las", "view", "docs"} <= set(said.get_all("Provides-Extra"))

@@ -17,6 +17,7 @@ from .sensing.rendering import labels as labels
 from .sensing.rendering import render as render
 from .sensing.rig_sampling import RandomRig as RandomRig
 from .sensing.rig_sampling import random_rig as random_rig
+from .sensing.rig_sampling import random_vehicle as random_vehicle
 from .sensing.scanning import sweep as sweep
 from .sensing.sensors import LIDARS as LIDARS
 from .sensing.trajectory import LIDAR_HEIGHT_M as LIDAR_HEIGHT_M

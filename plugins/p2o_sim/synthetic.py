@@ -63,13 +63,14 @@ class SyntheticOptions(Options):
     period_s: float = field(0.1, gt=0, le=60, help="Time between successive frames of a drive in seconds.")
     seed: int = field(0, ge=0, lt=2**63, help="Seed of the scenes, of all noise and of the initial guess.")
     place: Literal[
-        "mixed", "anywhere", "street", "suburb", "highway", "trees", "yard", "hall", "room",
+        "mixed", "anywhere", "street", "suburb", "highway", "trees", "varied", "yard", "hall", "room",
         "repeated", "empty", "traffic",
     ] = field(
         "mixed",
         help="Kind of scene; mixed draws a road for each scene, a third of them with trees and banks; anywhere draws "
-        "from roads, a yard (an open floor between halls, for boards), and inside a hall or a room. Difficult: equal "
-        "houses, fences or parked cars in rows (repeated), an empty road, and one with traffic alone.",
+        "from roads, a yard (an open floor between halls, for boards), and inside a hall or a room; varied is a road "
+        "with vehicles, walls, plants and posts close by, for training. Difficult: equal houses, "
+        "fences or parked cars in rows (repeated), an empty road, and one with traffic alone.",
     )  # fmt: skip
     weather: Literal["clear", "overcast", "rain", "fog", "night", "any"] = field(
         "clear", help="Weather of image and sweep, through windows in halls and rooms; any draws one for each scene."
@@ -109,10 +110,11 @@ class SyntheticOptions(Options):
     box_size_m: tuple[_Side, _Side, _Side] | None = field(
         None, help="Width, height, depth of boxes in metres; null: of the named size."
     )
-    rig: Literal["fixed", "random", "random-rings"] = field(
+    rig: Literal["fixed", "random", "random-rings", "random-vehicle"] = field(
         "fixed",
         help="random draws camera, width_px, height_px, focal_px, mount, lidar and initial guess for each scene; "
-        "random-rings only LiDARs with rings; fixed uses the other options.",
+        "random-rings only LiDARs with rings, random-vehicle also their height, with cameras that mostly look ahead; "
+        "fixed uses the other options.",
     )
     megapixels: float | None = field(
         None,
@@ -238,6 +240,9 @@ def _with_rig(options: SyntheticOptions, scene_number: int) -> SyntheticOptions:
         return _reduced(options)
     rng = _stream(options, _RIG, scene_number)
     limit = _MEGAPIXELS if options.megapixels is None else options.megapixels
+    if options.rig == "random-vehicle":
+        drawn = simulate.random_vehicle(rng, megapixels=limit)
+        return options.model_copy(update={**vars(drawn), "lidar_height_m": float(rng.uniform(1.3, 2.6))})
     drawn = simulate.random_rig(rng, megapixels=limit, rings=options.rig == "random-rings")
     return options.model_copy(update=vars(drawn))
 

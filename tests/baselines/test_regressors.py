@@ -21,7 +21,7 @@ from p2o_baselines.regressors import losses, method, parts, poses, staged, train
 from p2o_baselines.regressors import network_input as inputs
 from p2o_baselines.regressors.batch import Batch, correction
 from p2o_baselines.regressors.design import CALIBNET, LCCNET, Design
-from p2o_baselines.regressors.method import FOLDER, weights_files
+from p2o_baselines.regressors.method import weights_files
 from p2o_baselines.regressors.network_input import Crop, NetworkInput, network_input_of
 from p2o_baselines.regressors.options import Augmentation, RegressorOptions, TrainingOptions
 from p2o_baselines.regressors.sample import (
@@ -424,7 +424,7 @@ def test_weights_of_another_method_and_what_is_none_are_refused(tmp_path: Path) 
     write_weights(rggnet.DESIGN.network("small"), Trained("calibnet", "small", CALIBNET), lying)
     with pytest.raises(InputError, match="no weights of calibnet"):
         read_weights(lying, calibnet.DESIGN)
-    with pytest.raises(p2o.MethodUnavailable, match="has no shipped weights of size paper"):
+    with pytest.raises(p2o.MethodUnavailable, match="no weights of calibnet of size paper are installed"):
         weights_files("paper", calibnet.DESIGN)
 
 
@@ -508,21 +508,17 @@ def test_a_view_is_drawn_within_what_its_options_say() -> None:
 # ---- shipped weights
 
 
-SHIPPED = [which for which in METHODS if (FOLDER / f"{which.DESIGN.name}-small.safetensors").is_file()]
-
-
-def test_shipped_weights_are_small_and_say_what_may_be_done_with_them() -> None:
-    files = sorted(FOLDER.glob("*.safetensors"))
-    assert {path.stem for path in files} == {f"{which.DESIGN.name}-small" for which in SHIPPED}
-    assert sum(path.stat().st_size for path in files) < 10e6
-    for which in SHIPPED:
+def test_weights_of_the_package_for_research_are_small_and_state_their_licence() -> None:
+    for which in METHODS:
+        [path] = weights_files("small", which.DESIGN)
+        assert path.stat().st_size < 2e6
         _, trained = read_weights(*weights_files("small", which.DESIGN), which.DESIGN)
         assert trained.about["licence"].startswith("research only")
         assert trained.size == "small"
 
 
 @pytest.mark.real
-@pytest.mark.parametrize("which", SHIPPED, ids=lambda module: module.DESIGN.name)
+@pytest.mark.parametrize("which", METHODS, ids=lambda module: module.DESIGN.name)
 def test_shipped_networks_come_nearer_on_frames_of_their_rig_that_they_have_not_seen(
     kitti_raw: Path, which: ModuleType
 ) -> None:

@@ -424,9 +424,9 @@ def result(rng: Random, bases: Bases, home: Path) -> Case:
 
 def weights(rng: Random, bases: Bases, home: Path) -> Case:
     """A file of weights: safetensors with wrong headers, shapes or bytes."""
-    from p2o_plugins.p2ornet.shipped import path_of
+    from p2o_plugins.p2ornet.shipped import weights_named
 
-    data = path_of("synthetic").read_bytes()
+    data = weights_named("free").path.read_bytes()
     size = int.from_bytes(data[:8], "little")
     head: Any = json.loads(data[8 : 8 + size])
     how = rng.random()

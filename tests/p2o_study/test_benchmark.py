@@ -58,8 +58,7 @@ def test_every_suite_that_is_shipped_is_valid() -> None:
     [
         (SUITE + "seeds = 4\n", "the same seeds for all rows, at least 5"),
         (SUITE + f"{QUICK_ROW}seeds = 6\n{QUICK_ROW.replace('quick', 'other', 1)}", "seeds of row 'other'"),
-        (SUITE + f'{OWN_ROW}init = "search"\n', "lacks rows: synthetic weights, without prior"),
-        (SUITE + OWN_ROW, "lacks rows: synthetic weights;"),
+        (SUITE + f'{OWN_ROW}init = "search"\n', "lacks a row without prior"),
         (SUITE + "sedes = 5\n", "unknown key 'sedes'"),
         (SUITE.replace("study.toml", "nothing.toml"), "the study file is missing"),
     ],

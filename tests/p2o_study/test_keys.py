@@ -30,22 +30,22 @@ seeds = 1
 name = "street"
 data = "synthetic:"
 [[row]]
-label = "kitti"
+label = "default"
 extractor = "p2ornet/rings"
 [[row]]
 label = "nearest"
 extractor = "canny/rings"
 matcher = "nearest"
 [[row]]
-label = "synthetic"
+label = "kitti"
 extractor = "p2ornet/rings"
-options = { extractor = { weights = "synthetic" } }
+options = { extractor = { weights = "kitti" } }
 [[row]]
 label = "koo"
 calibrator = "koo"
 witness = "none"
 """
-ALL = {"nearest", "kitti", "synthetic", "koo"}
+ALL = {"nearest", "default", "kitti", "koo"}
 
 
 @pytest.fixture(scope="module")
@@ -104,11 +104,10 @@ def test_code_of_p2o_counts_by_the_version_of_the_algorithm(
 def test_weights_change_the_keys_of_the_rows_that_read_them(
     registry: p2o.Registry, edit: Edit, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    for name in shipped.SHIPPED.values():
-        (tmp_path / name).write_bytes(b"1")
+    new_weights = tmp_path / "p2ornet-free.safetensors"
+    new_weights.write_bytes(b"1")
     monkeypatch.setattr(shipped, "FOLDER", tmp_path)
-    new_weights = tmp_path / shipped.SHIPPED["synthetic"]
-    assert changed(registry, lambda: new_weights.write_bytes(b"2")) == {"synthetic"}
+    assert changed(registry, lambda: new_weights.write_bytes(b"2")) == {"default", "nearest"}
 
 
 def test_declared_data_files_are_those_of_the_options(registry: p2o.Registry) -> None:
@@ -117,7 +116,7 @@ def test_declared_data_files_are_those_of_the_options(registry: p2o.Registry) ->
         assert offer.method.data_files is not None
         return [path.name for path in offer.method.data_files(offer.method.options(**options))]
 
-    assert names("p2ornet") == ["p2ornet-kitti.safetensors"]
+    assert names("p2ornet") == ["p2ornet-free.safetensors"]
     assert names("calibnet") == ["calibnet-small.safetensors"]
     assert names("lccnet", weights="a.safetensors, b.safetensors") == ["a.safetensors", "b.safetensors"]
     assert names("picked") == ["picked-example.yaml"]

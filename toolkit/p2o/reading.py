@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from p2o.geometry.radial_error import RadialError as RadialError
     from p2o.geometry.rpy import rotation_of as rotation_of, rpy_of as rpy_of
     from p2o.host.calibration_file import names_file as names_file, read_calibration as read_calibration
+    from p2o.host.weights import Weights as Weights, weights_of as weights_of
     from p2o.host.calibration_file import read_camera_file as read_camera_file
     from p2o.host.calibration_file import read_extrinsic_file as read_extrinsic_file
     from p2o.host.calibration_file import read_initial_guess as read_initial_guess

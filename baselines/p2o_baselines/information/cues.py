@@ -41,8 +41,8 @@ class CuesOptions(p2o.Options):
     @classmethod
     def _default(cls, value: str, info: ValidationInfo) -> str:
         """Record the weights that P2O_WEIGHTS selects, because they alter the result."""
-        free = os.environ.get("P2O_WEIGHTS") == "free" and info.data.get("extractor", "").startswith("p2ornet/")
-        return value or ("synthetic" if free else "")
+        is_own = info.data.get("extractor", "").startswith("p2ornet/")
+        return value or (os.environ.get("P2O_WEIGHTS", "") if is_own else "")
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,15 +8,10 @@ from typing import Any
 
 import p2o
 from p2o import UInt8
-from p2o.reading import expanded
+from p2o.reading import expanded, weights_of
 
 from p2o_baselines.regressors.design import Design
 from p2o_baselines.regressors.options import PRESETS, RegressorOptions, TrainingOptions
-
-FOLDER = Path(__file__).parents[1] / "weights"
-"""Weights that come with the package."""
-LICENCE = "small: research only (CC BY-NC-SA 3.0)"
-"""Licence of the shipped weights, which were trained on KITTI."""
 
 
 def label(frame: p2o.Frame) -> bytes:
@@ -48,17 +43,18 @@ def built(design: Design, options: RegressorOptions) -> p2o.Calibrator:
 
 
 def weights_files(weights: str, design: Design) -> list[Path]:
-    """Return the files that the option `weights` names; raises MethodUnavailable for a size without shipped weights."""
+    """Return the files that the option `weights` names; raises MethodUnavailable for a size without weights."""
     if weights in design.inputs:
-        path = FOLDER / f"{design.name}-{weights}.safetensors"
-        if not path.is_file():
+        try:
+            return [weights_of(design.name, weights).path]
+        except p2o.UnknownNameError as problem:
             raise p2o.MethodUnavailable(
-                f"{design.name} has no shipped weights of size {weights}",
+                f"no weights of {design.name} of size {weights} are installed",
                 where="weights",
-                expected="a file written by p2o train",
-                hint=f"p2o train {design.name} --data ... --out DIR, then weights=DIR/weights.safetensors",
-            )
-        return [path]
+                expected="the package p2o-kitti-weights (for research only), or a file written by p2o train",
+                hint="pip install p2o-kitti-weights, or "
+                f"p2o train {design.name} --data ... --out DIR, then weights=DIR/weights.safetensors",
+            ) from problem
     return [expanded(part.strip()) for part in weights.split(",") if part.strip()] or [Path(weights)]
 
 
@@ -81,7 +77,9 @@ def regressor(design: Design, build: Callable[[RegressorOptions], p2o.Calibrator
         options=RegressorOptions,
         expected_failures=OTHER_RIG,
         data_files=lambda options: weights_files(options.weights, design),
-        data_licence=lambda options: LICENCE if options.weights == "small" else "",
+        data_licence=lambda options: (
+            weights_of(design.name, options.weights).licence if options.weights in design.inputs else ""
+        ),
         trainer=trainer(design),
         **about,
     )

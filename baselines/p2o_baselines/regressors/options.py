@@ -63,7 +63,7 @@ class RegressorOptions(p2o.Options):
 
     weights: str = field(
         "small",
-        help="small (shipped weights, if available; for research only), or files written by p2o train, separated by "
+        help="small (for research only; of the package p2o-kitti-weights), or files written by p2o train, separated by "
         "commas, from the largest range to the smallest.",
     )
     first: int = field(1, ge=1, le=100, help="First stage, counted from 1: small initial errors need no large range.")

@@ -14,7 +14,7 @@ from p2o.solving import has_gpu_driver
 from pydantic import Field
 
 from p2o_plugins.p2ornet.options import PRESETS, TrainingOptions
-from p2o_plugins.p2ornet.shipped import default_weights, licence_of, path_of
+from p2o_plugins.p2ornet.shipped import default_weights, weights_named
 
 if TYPE_CHECKING:
     import torch
@@ -27,8 +27,8 @@ class P2ORNetOptions(Options):
 
     weights: str = Field(
         default_factory=default_weights,
-        description="Weights: kitti (shipped; for research only), synthetic (shipped; have seen synthetic streets "
-        "only; the default with P2O_WEIGHTS=free), or a file that p2o train wrote.",
+        description="Weights: free (shipped; trained on simulated places only), kitti (for research only; of the "
+        "package p2o-kitti-weights), or a file that p2o train wrote. P2O_WEIGHTS sets another default.",
     )
     min_confidence: float = field(0.05, ge=0, le=1, help="Edges less certain than this are dropped.")
     min_line_px: int = field(5, ge=1, help="Connected edges of fewer pixels than this are dropped, side by side.")
@@ -48,7 +48,7 @@ class P2ORNetOptions(Options):
 
 def build(options: P2ORNetOptions) -> ImageExtractor:
     """Return the extractor; the weights are read by this call. Raises InputError if they cannot be read."""
-    path = path_of(options.weights)
+    path = weights_named(options.weights).path
     predict, shape = _predictor(options.device, path)
     slope, offset = _calibration(shape.about.get("calibration", "1 0"), path)
 
@@ -184,12 +184,12 @@ def train(*arguments: Any) -> Path:
 METHOD = Method(
     name="p2ornet",
     build=build,
-    data_files=lambda options: [path_of(options.weights)],
-    data_licence=lambda options: licence_of(options.weights),
+    data_files=lambda options: [weights_named(options.weights).path],
+    data_licence=lambda options: weights_named(options.weights).licence,
     options=P2ORNetOptions,
     summary="Directed occlusion edges of one image, labelled by a network.",
     gives={"image-edges", "side"},
     parallel=True,
-    trainer=p2o.Trainer(options=TrainingOptions, presets=PRESETS, label=label, draw=draw, train=train, label_version=3),
+    trainer=p2o.Trainer(options=TrainingOptions, presets=PRESETS, label=label, draw=draw, train=train, label_version=4),
     cite="Wang et al., P2O-Calib, 2023, Sec. III-B; Qiu, Xiao, Wang, Marlet, P2ORM, ECCV 2020",
 )

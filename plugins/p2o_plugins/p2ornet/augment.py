@@ -175,6 +175,9 @@ class Light:
 def relit(rgb: UInt8, options: Augmentation, rng: np.random.Generator) -> UInt8:
     """Return the image with changed colours, blur and noise."""
     x: NDArray[np.float32] = rgb.astype(np.float32)
+    if options.marks and rng.random() < 0.6:
+        for _ in range(int(rng.integers(1, options.marks + 1))):
+            x = _marked(x, rng)
     if options.light > 0:
         if rng.random() < 0.25:
             x = _shadowed(x, rng)
@@ -185,6 +188,35 @@ def relit(rgb: UInt8, options: Augmentation, rng: np.random.Generator) -> UInt8:
     if options.noise > 0 and rng.random() < 0.5:
         x = x + np.float32(rng.uniform(0, options.noise)) * rng.standard_normal(x.shape, np.float32)
     return np.asarray(np.clip(x + 0.5, 0, 255), dtype=np.uint8)
+
+
+def _marked(x: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
+    """Paint a line, a polygon, an ellipse, a word or a faint mirror image onto a part of the image."""
+    height, width = x.shape[:2]
+    size = float(np.exp(rng.uniform(np.log(0.02), np.log(0.5))) * height)
+    u, v = (int(value) for value in rng.uniform((0, 0), (width, height)))
+    mask = np.zeros((height, width), np.uint8)
+    kind = int(rng.integers(5))
+    if kind == 0:
+        end = (int(u + 2 * size * rng.normal()), int(v + 2 * size * rng.normal()))
+        cv2.line(mask, (u, v), end, 255, int(rng.integers(1, 9)), cv2.LINE_AA)
+    elif kind == 1:
+        corners = np.array([u, v]) + size * rng.normal(size=(int(rng.integers(3, 6)), 2))
+        cv2.fillPoly(mask, [corners.astype(np.int32)], 255, cv2.LINE_AA)
+    elif kind == 2:
+        axes = (max(1, int(size)), max(1, int(size * rng.uniform(0.15, 1))))
+        cv2.ellipse(mask, (u, v), axes, float(rng.uniform(0, 180)), 0, 360, 255, -1, cv2.LINE_AA)
+    elif kind == 3:
+        letters = "".join(chr(c) for c in rng.integers(33, 91, int(rng.integers(1, 7))))
+        cv2.putText(mask, letters, (u, v), 0, size / 40, 255, max(1, int(size / 25)), cv2.LINE_AA)
+    else:
+        mask[v : v + int(size), u : u + int(2 * size)] = 255
+    cover = mask.astype(np.float32) / 255
+    if rng.random() < 0.4:
+        cover = cv2.GaussianBlur(cover, (0, 0), float(rng.uniform(0.4, 0.1 * size + 0.5)))
+    strength = cover[..., None] * np.float32(rng.uniform(0.15, 1.0))
+    paint = x[::-1] if kind == 4 else rng.uniform(0, 255, 3).astype(np.float32)
+    return np.asarray(x + strength * (paint - x), dtype=np.float32)
 
 
 def _shadowed(x: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:

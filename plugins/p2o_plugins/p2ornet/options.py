@@ -22,6 +22,12 @@ class Augmentation(Options):
     light: float = field(1.0, ge=0, le=3, help="Strength of changes of exposure, contrast, colour and shadows; 0: off.")
     blur_px: float = field(1.0, ge=0, le=10, help="Largest deviation of blur in pixels; half of the crops are blurred.")
     noise: float = field(6.0, ge=0, le=64, help="Largest deviation of noise in grey levels of 255.")
+    marks: int = field(
+        0,
+        ge=0,
+        le=100,
+        help="Most painted shapes, stains, reflections and letters, whose outlines are no edges of depth.",
+    )
 
 
 class TrainingOptions(StepOptions):
@@ -55,8 +61,8 @@ class TrainingOptions(StepOptions):
     )
     from_weights: str = field(
         "",
-        help="Begin from these weights instead: kitti (shipped; for research only), synthetic, "
-        "or a file written by p2o train. Empty: begin from ImageNet weights, or from scratch.",
+        help="Begin from these weights instead: free (shipped), kitti (for research only; p2o-kitti-weights), or a "
+        "file written by p2o train. Empty: begin from ImageNet weights, or from scratch.",
     )
     validate_every: int = field(250, ge=1, help="Steps from one validation (and checkpoint) to the next.")
     settle: int = field(

@@ -21,7 +21,7 @@ from p2o_plugins.p2ornet.example import UNKNOWN, Example
 from p2o_plugins.p2ornet.loss import order_loss
 from p2o_plugins.p2ornet.network import P2ORNet, order_probabilities, placed
 from p2o_plugins.p2ornet.options import Augmentation, TrainingOptions
-from p2o_plugins.p2ornet.shipped import path_of
+from p2o_plugins.p2ornet.shipped import weights_named
 from p2o_plugins.p2ornet.thinning import peaks, side_probabilities
 from p2o_plugins.p2ornet.weights import load_weights, save_weights
 
@@ -79,7 +79,7 @@ def train(
         return loss
 
     if start < options.iterations:
-        bank, share = [[Example.load(path) for path in group.paths] for group in groups], _shares(groups)
+        bank, share = [group.paths for group in groups], _shares(groups)
         run_steps(
             state,
             start,
@@ -114,7 +114,7 @@ def _initial_network(options: TrainingOptions, shape: Shape) -> P2ORNet:
         if imagenet is not None:
             load_imagenet(network, imagenet)
         return network
-    path = path_of(options.from_weights)
+    path = weights_named(options.from_weights).path
     tensors, stored_shape = load_weights(path)
     if replace(stored_shape, about={}) != replace(shape, about={}):
         raise InputError(
@@ -156,14 +156,16 @@ def rate(options: TrainingOptions, step: int) -> float:
     return cosine_rate(options.learning_rate, step, options.iterations)
 
 
-def _batch(bank: Sequence[Sequence[Example]], share: Float, options: TrainingOptions, step: int) -> list[Crop]:
+def _batch(bank: Sequence[Sequence[Path]], share: Float, options: TrainingOptions, step: int) -> list[Crop]:
+    """Draw the crops of a step; examples are read when they are drawn, so that memory does not limit their number."""
     rng = np.random.default_rng([options.seed, step])
     crops = []
     for place in range(options.batch):
         # The samples of a batch are distributed evenly over the groups; only the remainder is random.
         which = int(np.searchsorted(np.cumsum(share), (place + rng.random()) / options.batch, side="right"))
         examples = bank[min(which, len(bank) - 1)]
-        crops.append(crop(examples[int(rng.integers(len(examples)))], options.crop_px, options.augmentation, rng))
+        example = Example.load(examples[int(rng.integers(len(examples)))])
+        crops.append(crop(example, options.crop_px, options.augmentation, rng))
     return crops
 
 
@@ -227,8 +229,7 @@ def settle(network: P2ORNet, groups: Sequence[TrainingGroup], options: TrainingO
     During training they are those of the last few batches of another mixture of images.
     """
     device = next(network.parameters()).device
-    bank = [[Example.load(path) for path in group.paths] for group in groups]
-    share = _shares(groups)
+    bank, share = [group.paths for group in groups], _shares(groups)
     network.eval()
     fixed = _frozen(options)
     for name, module in network.named_modules():

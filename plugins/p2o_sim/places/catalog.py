@@ -10,7 +10,7 @@ from types import MappingProxyType
 import numpy as np
 from p2o import Float, UnknownNameError
 
-from p2o_sim.places import empty, hall, highway, repeated, room, suburb, town, woods, yard
+from p2o_sim.places import empty, hall, highway, repeated, room, suburb, town, varied, woods, yard
 from p2o_sim.world.lighting import triple
 from p2o_sim.world.place import Layout, Plan, Thing, land_behind
 from p2o_sim.world.scene import Mover, Part, Scene
@@ -21,8 +21,8 @@ INDOORS = ("hall", "room")
 """Kinds of places inside buildings."""
 DIFFICULT = ("repeated", "empty", "traffic")
 """Kinds of places in which a calibration may have no right result."""
-PLACES = (*SHARES, "yard", *INDOORS, *DIFFICULT)
-"""Names of the kinds of places; `mixed` draws from SHARES, `anywhere` from all but DIFFICULT."""
+PLACES = (*SHARES, "varied", "yard", *INDOORS, *DIFFICULT)
+"""Names of the kinds of places; `mixed` draws from SHARES, `anywhere` from all but `varied` and DIFFICULT."""
 _ANYWHERE: Mapping[str, float] = MappingProxyType(
     {"street": 0.16, "suburb": 0.14, "highway": 0.1, "trees": 0.14, "yard": 0.08, "hall": 0.18, "room": 0.2}
 )
@@ -54,7 +54,7 @@ def scene_of(
     """
     makers: Mapping[str, Callable[[Plan], Layout]] = {
         "street": town.layout, "suburb": suburb.layout, "highway": highway.layout, "trees": woods.layout,
-        "yard": yard.layout, "hall": hall.layout, "room": room.layout,
+        "varied": varied.layout, "yard": yard.layout, "hall": hall.layout, "room": room.layout,
         "repeated": repeated.layout, "empty": empty.layout, "traffic": empty.traffic_layout,
     }  # fmt: skip
     maker, plan = makers[place_of(place, rng)], Plan(rng, travel_m, around)

@@ -23,6 +23,7 @@ FIELD_DEG = (25.0, 120.0)
 DRAWN_LIDARS = ("hdl-64e", "hdl-32e", "vlp-16", "os1-64", "os1-128", "pandar64", "mid-40")
 """LiDARs that random rigs may have; another one would change the rigs of all seeds."""
 _MODELS: tuple[tuple[Model, float], ...] = (("pinhole", 0.5), ("opencv-distorted", 0.25), ("fisheye", 0.25))
+_TO_THE_SIDE_DEG = (-55.0, 55.0, -110.0, 110.0, 180.0)
 _LOWEST_M, _HIGHEST_M = (-0.4, -0.4, -0.3), (0.6, 0.4, 0.3)
 
 
@@ -51,22 +52,45 @@ def random_rig(rng: np.random.Generator, *, megapixels: float = 2.0, rings: bool
     """
     names = [name for name in DRAWN_LIDARS if not (rings and isinstance(LIDARS[name], Rosette))]
     lidar = str(rng.choice(names))
+    model, width, height, focal_px = _camera(rng, megapixels)
+    narrow = isinstance(LIDARS[lidar], Rosette)
+    yaw = rng.uniform(-8.0, 8.0) if narrow else rng.uniform(-180.0, 180.0)
+    pitch = rng.uniform(-4.0, 4.0) if narrow else rng.uniform(-10.0, 10.0)
+    draw, side = rng.random(), rng.choice([-90.0, 90.0])
+    roll = 3.0 * rng.normal() + (side if draw < 0.1 else 180.0 if draw < 0.2 else 0.0)
+    return RandomRig(model, width, height, focal_px, _mount(rng, pitch, yaw, roll), lidar)
+
+
+def random_vehicle(rng: np.random.Generator, *, megapixels: float = 2.0) -> RandomRig:
+    """Draw the rig of a car or a robot on a road: a LiDAR with rings and one of its upright cameras.
+
+    Six cameras in ten look ahead, the others to one of the directions of a rig of six. The camera is that of
+    `random_rig`.
+    """
+    lidar = str(rng.choice([name for name in DRAWN_LIDARS if not isinstance(LIDARS[name], Rosette)]))
+    model, width, height, focal_px = _camera(rng, megapixels)
+    yaw = 2.0 * rng.normal() if rng.random() < 0.6 else rng.choice(_TO_THE_SIDE_DEG) + 8.0 * rng.normal()
+    mount = _mount(rng, 3.0 * rng.normal(), float(yaw), 1.5 * rng.normal())
+    return RandomRig(model, width, height, focal_px, mount, lidar)
+
+
+def _camera(rng: np.random.Generator, megapixels: float) -> tuple[Model, int, int, float]:
+    """Draw the model of a camera, its width, height and focal length in pixels, reduced to `megapixels`."""
     model = _MODELS[rng.choice(len(_MODELS), p=[share for _, share in _MODELS])][0]
     width, height = SIZES_PX[rng.integers(len(SIZES_PX))]
     low, high = (width * f for f in sorted(_focal_of_field(model, degrees) for degrees in FIELD_DEG))
     low, high = max(low, FOCAL_PX[0]), min(high, FOCAL_PX[1])
     focal_px = float(np.exp(rng.uniform(np.log(low), np.log(high))))
     scale = min(1.0, np.sqrt(megapixels * 1e6 / (width * height)))
-    narrow = isinstance(LIDARS[lidar], Rosette)
-    yaw = rng.uniform(-8.0, 8.0) if narrow else rng.uniform(-180.0, 180.0)
-    pitch = rng.uniform(-4.0, 4.0) if narrow else rng.uniform(-10.0, 10.0)
-    draw, side = rng.random(), rng.choice([-90.0, 90.0])
-    roll = 3.0 * rng.normal() + (side if draw < 0.1 else 180.0 if draw < 0.2 else 0.0)
-    place = rng.uniform(_LOWEST_M, _HIGHEST_M)
-    turn = np.degrees(se3.rotation_vector(_turned(pitch, yaw, roll)))
     width, height = (max(64, round(side * scale)) for side in (width, height))
-    mount = tuple(float(v) for v in (*place, *turn))
-    return RandomRig(model, width, height, focal_px * float(scale), mount, lidar)
+    return model, width, height, focal_px * float(scale)
+
+
+def _mount(rng: np.random.Generator, pitch_deg: float, yaw_deg: float, roll_deg: float) -> tuple[float, ...]:
+    """Draw the place of a camera and return its mounting."""
+    place = rng.uniform(_LOWEST_M, _HIGHEST_M)
+    turn = np.degrees(se3.rotation_vector(_turned(pitch_deg, yaw_deg, roll_deg)))
+    return tuple(float(v) for v in (*place, *turn))
 
 
 def _focal_of_field(model: Model, degrees: float) -> float:

@@ -21,7 +21,7 @@ from p2o_plugins.p2ornet import graph
 from p2o_plugins.p2ornet.design import PLANS, Shape
 from p2o_plugins.p2ornet.graph import Predictor
 from p2o_plugins.p2ornet.network import P2ORNet, order_probabilities
-from p2o_plugins.p2ornet.shipped import SHIPPED, path_of
+from p2o_plugins.p2ornet.shipped import weights_named
 from p2o_plugins.p2ornet.weights import load_weights
 from p2o_sim import synthetic
 
@@ -79,12 +79,12 @@ def test_the_graph_and_the_module_give_the_same_probabilities(encoder: str, cell
     assert wanted.std() > 0.01, "the weights make a difference"
 
 
-@pytest.mark.parametrize("weights", sorted(SHIPPED))
+@pytest.mark.parametrize("weights", ["free", "kitti"])
 def test_shipped_weights_give_the_same_probabilities_and_nearly_the_same_edges(
     weights: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Rounding moves an edge over a threshold here and there: one in a thousand at most, together with its line."""
-    tensors, shape = load_weights(path_of(weights))
+    tensors, shape = load_weights(weights_named(weights).path)
     network = P2ORNet.of(shape, tensors)
     options = synthetic.SyntheticOptions(place="street", seed=206, width_px=621, height_px=188, right=False)
     rgb = synthetic.build(options)[0].image.rgb
@@ -126,9 +126,8 @@ def test_a_picture_is_read_whatever_its_layout_in_memory() -> None:
 # ---- threads and sizes
 
 
-@pytest.mark.parametrize("weights", sorted(SHIPPED))
-def test_the_number_of_threads_does_not_change_a_single_bit(weights: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    tensors, shape = load_weights(path_of(weights))
+def test_the_number_of_threads_does_not_change_a_single_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    tensors, shape = load_weights(weights_named("free").path)
     found, rgb = [], picture(96, 320)
     for threads in (1, 2, 3, 4):
         monkeypatch.setattr(graph, "cores", lambda threads=threads: threads)
@@ -138,7 +137,7 @@ def test_the_number_of_threads_does_not_change_a_single_bit(weights: str, monkey
 
 
 def test_pictures_at_once_and_one_after_the_other_give_the_same_bits() -> None:
-    tensors, shape = load_weights(path_of("kitti"))
+    tensors, shape = load_weights(weights_named("free").path)
     pictures = [picture(64, 96 + 32 * (number % 3), number) for number in range(12)]
     alone = list(map(Predictor(tensors, shape), pictures))
     with ThreadPoolExecutor(4) as threads:
@@ -200,10 +199,10 @@ def test_nothing_is_opened_but_the_weights_once_its_packages_are_loaded() -> Non
     code = (
         "import sys, numpy as np, onnx.helper, onnx.numpy_helper, onnxruntime, safetensors\n"
         "from p2o_plugins.p2ornet.graph import Predictor\n"
-        "from p2o_plugins.p2ornet.shipped import path_of\n"
+        "from p2o_plugins.p2ornet.shipped import weights_named\n"
         "from p2o_plugins.p2ornet.weights import load_weights\n"
         "rgb = np.zeros((40, 60, 3), np.uint8)\n"
-        "path, seen = path_of('kitti'), set()\n"
+        "path, seen = weights_named('free').path, set()\n"
         "watched = ('open', 'socket.connect', 'subprocess.Popen', 'os.system', 'exec', 'import')\n"
         "sys.addaudithook(lambda event, words: event in watched and seen.add((event, str(words[0]))))\n"
         "print(Predictor(*load_weights(path))(rgb).shape, seen - {('open', str(path))})\n"
@@ -213,7 +212,7 @@ def test_nothing_is_opened_but_the_weights_once_its_packages_are_loaded() -> Non
 
 
 def test_a_damaged_weights_file_is_told_in_a_line(tmp_path: Path) -> None:
-    whole, path = path_of("kitti").read_bytes(), tmp_path / "w.safetensors"
+    whole, path = weights_named("free").path.read_bytes(), tmp_path / "w.safetensors"
     for content in (whole[:-50], whole[:100], b"no weights at all" * 99, pickle.dumps({"weights": 1})):
         path.write_bytes(content)
         with pytest.raises(InputError, match=r"^[^\n]*w\.safetensors: a weights file cannot be read[^\n]*$"):

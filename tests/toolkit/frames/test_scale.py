@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from p2o import Camera, CloudFeatures, Image, ImageFeatures, View
+from p2o import Camera, CloudFeatures, Image, ImageFeatures, View, occlusion
 from p2o.confidence.verdict import at_full_size
 from p2o.frames.scale import LONGEST_FOCAL_PX, camera_at_scale, image_at_scale
 from p2o.reading import RadialError
@@ -75,3 +75,25 @@ def test_what_was_found_out_about_a_camera_is_told_of_the_one_that_was_given() -
     assert told.shift_sigma_px == pytest.approx(1.0, rel=5e-3)
     [same] = at_full_size([check], [replace(view, full_size=None)])
     assert same is check
+
+
+@pytest.mark.parametrize("focal_px", [1010.0, 1500.0, 2170.0])
+def test_a_distant_road_has_no_occlusions_at_any_scale(focal_px: float) -> None:
+    """A plane at a grazing angle, a wall in front of it, and sky: only the outline of the wall is an edge."""
+    camera = Camera.pinhole(focal_px, focal_px, 300.3, 100.2, 640, 400)
+    v, u = np.mgrid[:400, :640]
+    road = np.where(v > 101.0, 1.5 * focal_px / np.maximum(v - 100.2, 1e-9), np.inf)
+    depth_m = np.where((abs(u - 320) < 50) & (abs(v - 200) < 90), 5.0, road)
+    image = image_at_scale(Image(np.zeros((400, 640, 3), np.uint8), camera, depth_m=depth_m))
+    small, shorter = image.camera, focal_px / 1000
+    assert image.depth_m is not None
+    orders = occlusion.occlusion_orders(image.depth_m, small)
+    row, column = np.nonzero((orders.south != 0) | (orders.east != 0))
+    u, v = (column + 0.5) * shorter - 0.5, (row + 0.5) * shorter - 0.5
+    assert len(row) > 500 / shorter
+    off_wall = (abs(u - 320) > 50 + 3 * shorter) | (abs(v - 200) > 90 + 3 * shorter)
+    assert (abs(v[off_wall] - 101) < 3 * shorter).all(), "but for the horizon"
+    plane = np.isfinite(image.depth_m) & (image.depth_m > 5)
+    rays = small.rays(np.stack(np.meshgrid(np.arange(small.width), np.arange(small.height)), axis=-1))
+    height_m = (rays[..., 1] / rays[..., 2] * image.depth_m)[plane]
+    assert np.median(abs(height_m - 1.5)) < 1e-9

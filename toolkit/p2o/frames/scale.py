@@ -11,6 +11,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from p2o.arrays import Float
 from p2o.frames.image import Image
 from p2o.geometry.camera import Camera
 
@@ -55,7 +56,30 @@ def _resized(image: Image, camera: Camera) -> Image:
         camera,
         right=smaller(image.right, cv2.INTER_AREA),
         baseline_m=image.baseline_m,
-        # Interpolated depths would not correspond to a surface.
-        depth_m=smaller(image.depth_m, cv2.INTER_NEAREST_EXACT),
+        depth_m=None if image.depth_m is None else _depth_on_surfaces(image.depth_m, size),
         masked=None if masked is None else masked > 0,
     )
+
+
+def _depth_on_surfaces(depth_m: Float, size: tuple[int, int]) -> Float:
+    """Return a depth map (H, W) resampled to `size` (width, height): the tangent plane at the nearest pixel.
+
+    Interpolated depths would lie between surfaces, and those of the nearest pixels would make steps in a distant road.
+    Inverse depth is affine on planes; its slope is the smaller one of both sides, which lies on the same surface.
+    """
+    with np.errstate(divide="ignore"):
+        inverse = 1.0 / depth_m
+    places = [(np.arange(n) + 0.5) * full / n - 0.5 for n, full in zip(size[::-1], depth_m.shape, strict=True)]
+    nearest = [np.rint(place).astype(np.int64) for place in places]
+    at = np.ix_(*nearest)
+    moved = inverse[at]
+    for axis, offset in enumerate(place - near for place, near in zip(places, nearest, strict=True)):
+        steps = np.diff(inverse, axis=axis)
+        unknown = np.full_like(np.take(inverse, [0], axis), np.nan)
+        sides = np.stack([np.concatenate(pair, axis) for pair in ((unknown, steps), (steps, unknown))])[:, *at]
+        size_of = np.where(np.isnan(sides), np.inf, np.abs(sides))
+        slope = np.where(size_of[0] < size_of[1], sides[0], sides[1])
+        moved = moved + np.nan_to_num(slope) * (offset[:, None] if axis == 0 else offset)
+    with np.errstate(divide="ignore"):
+        depth: Float = 1.0 / np.where((inverse[at] == 0) | (moved <= 0), inverse[at], moved)
+    return depth

@@ -39,7 +39,7 @@ FOLDER = "suites"
 MIN_SEEDS = 5
 """Minimum number of initial guesses of each frame or group."""
 _OWN_IMAGE_SIDE = "p2ornet"
-"""The image extractor of our method; its rows need those without prior and with synthetic weights beside them."""
+"""The image extractor of our method; its rows need those without prior beside them."""
 _INIT_WITH_PRIOR = "search"
 """The initializer that uses the initial guess as a prior; rows of others are without prior."""
 
@@ -149,37 +149,31 @@ def find_suite(word: str, registry: Registry, folder: str | Path | None = None) 
 def check_rows(rows: Sequence[StudyRow], where: str) -> None:
     """Raise InputError for rows that are not comparable.
 
-    Every row needs the same seeds, at least `MIN_SEEDS`. Where our method is a row, the suite also needs it with
-    weights of synthetic images and, if a row uses the prior on the initial guess, without it, on the same data, frames
-    and initial guesses.
+    Every row needs the same seeds, at least `MIN_SEEDS`. Where our method is a row that uses the prior on the initial
+    guess, the suite also needs it without the prior, on the same data, frames and initial guesses.
     """
     for row in rows:
         if row.seeds != rows[0].seeds or len(row.seeds) < MIN_SEEDS:
             expected = f"the same seeds for all rows, at least {MIN_SEEDS}"
             raise InputError(f"seeds of row '{row.label}'", where=where, expected=expected, got=list(row.seeds))
-    versions: dict[tuple[object, ...], set[str]] = {}
     with_prior: set[tuple[object, ...]] = set()
+    without_prior: set[tuple[object, ...]] = set()
     for row in rows:
         recipe = row.recipe(row.seeds[0])
-        init, image = recipe.options.get("init", {}), recipe.options.get("extractor", {})
         if (
             recipe.calibrator is None
             and recipe.extractor.partition("/")[0] == _OWN_IMAGE_SIDE
             and recipe.matcher == "ogm"
         ):
-            version = "synthetic weights" if image.get("weights") == "synthetic" else "default"
-            if init.get("prior") == 0 and recipe.options.get("pipeline", {}).get("start_sigma") is None:
-                version = "without prior"
             key = row.dataset.name, row.joint, recipe.perturb, recipe.accumulate
-            versions.setdefault(key, set()).add(version)
-            if recipe.init == _INIT_WITH_PRIOR:
+            start_sigma = recipe.options.get("pipeline", {}).get("start_sigma")
+            if recipe.options.get("init", {}).get("prior") == 0 and start_sigma is None:
+                without_prior.add(key)
+            elif recipe.init == _INIT_WITH_PRIOR:
                 with_prior.add(key)
-    for group, known in versions.items():
-        needed = {"default", "synthetic weights"} | ({"without prior"} if group in with_prior else set())
-        lacking = needed - known
-        if lacking:
-            raise InputError(
-                f"our method on dataset '{group[0]}' lacks rows: {', '.join(sorted(lacking))}",
-                where=where,
-                expected="rows: default, extractor.weights=synthetic; with search, init.prior=0 without start_sigma",
-            )
+    for group in sorted(with_prior - without_prior, key=str):
+        raise InputError(
+            f"our method on dataset '{group[0]}' lacks a row without prior",
+            where=where,
+            expected="a row with init.prior=0 and without start_sigma",
+        )
