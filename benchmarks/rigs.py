@@ -35,7 +35,7 @@ class Rig:
     name: str
     data: str
     frames: str = "all"
-    weights: str = "kitti"
+    weights: str = "free"
     truth_deg: float = 0.0
     truth_m: float = 0.0
     seeds: int = 1
@@ -45,6 +45,11 @@ class Rig:
     one_place: bool = False
     camera_at: int | None = None
     options: dict[str, dict[str, object]] = field(default_factory=dict)
+
+    @property
+    def is_real(self) -> bool:
+        """Whether its frames are of real sensors."""
+        return is_real(self.name)
 
     @property
     def plan(self) -> Plan:
@@ -101,10 +106,10 @@ def _drive(name: str, words: str) -> Rig:
     return Rig(f"drive-{name}", data, "@{splits}#drive_0005_later", truth_deg=0.1, truth_m=0.01)
 
 
-def _random(name: str, weights: str) -> Rig:
+def _random(name: str) -> Rig:
     words = "rig=random-rings&place=anywhere&weather=any&megapixels=1"
     data = f"synthetic:?right=false&scenes=12&{words}&seed={500 + ord(name)}"
-    return Rig(f"sim-random-{name}", data, weights=weights, apart=True)
+    return Rig(f"sim-random-{name}", data, apart=True)
 
 
 LIDARS = {
@@ -123,6 +128,11 @@ def lidar_of(rig: str) -> str:
     return next((kind for kind, names in LIDARS.items() if rig.startswith(names)), rig)
 
 
+def is_real(rig: str) -> bool:
+    """Return whether frames of the rig of this name are of real sensors."""
+    return not rig.startswith("sim-") and not rig.endswith("_sim")
+
+
 RIGS: Sequence[Rig] = (
     _folder("nuscenes", truth_deg=0.15, truth_m=0.05, seeds=3, apart=True, one_place=True),
     _folder("waymo", truth_deg=0.1, truth_m=0.08),
@@ -135,29 +145,29 @@ RIGS: Sequence[Rig] = (
         "ddad", extractor="p2ornet/range-view", options=DDAD, truth_deg=0.15, truth_m=0.05, one_place=True, camera_at=-1
     ),
     Rig("kitti-odometry", "kitti-odometry:build/data/kitti_odometry", truth_deg=0.1, truth_m=0.01),
-    Rig("kitti-raw", KITTI_RAW, "@{splits}#train", weights="synthetic", truth_deg=0.1, truth_m=0.01),
+    Rig("kitti-raw", KITTI_RAW, "@{splits}#train", truth_deg=0.1, truth_m=0.01),
     _drive("hdl64", ""),
     _drive("32-rings", "keep_rings=2"),
     _drive("16-rings", "keep_rings=4"),
     _drive("no-rings", "forget_rings=true"),
-    _synthetic("hdl64-f465", "lidar=hdl-64e&width_px=800&height_px=300", weights="synthetic"),
+    _synthetic("hdl64-f465", "lidar=hdl-64e&width_px=800&height_px=300"),
     _synthetic("hdl64-left", "lidar=hdl-64e&width_px=800&height_px=500&mount=[0.3,0.4,-0.3,3,-50,4]"),
     _synthetic("hdl64-raw", "lidar=hdl-64e&width_px=1242&height_px=375&deskew=false"),
     _synthetic("hdl32-f580", "lidar=hdl-32e&width_px=1000&height_px=560"),
-    _synthetic("hdl32-f1000", "lidar=hdl-32e&width_px=1722&height_px=950", crop=(1100, 700), weights="synthetic"),
+    _synthetic("hdl32-f1000", "lidar=hdl-32e&width_px=1722&height_px=950", crop=(1100, 700)),
     _synthetic("vlp16-f465", "lidar=vlp-16&width_px=800&height_px=500"),
     _synthetic("vlp16-f900", "lidar=vlp-16&width_px=1550&height_px=850&place=suburb", crop=(1000, 640)),
     _synthetic("vlp16-yard", "lidar=vlp-16&width_px=1242&height_px=700&place=yard&targets=checkerboard&boards=2"),
-    _synthetic("vlp16-hall", "lidar=vlp-16&width_px=1000&height_px=560&place=hall", weights="synthetic"),
+    _synthetic("vlp16-hall", "lidar=vlp-16&width_px=1000&height_px=560&place=hall"),
     _synthetic("hdl32-suburb", "lidar=hdl-32e&width_px=1000&height_px=560&place=suburb"),
     _synthetic("pandar64-f1100", "lidar=pandar64&width_px=1900&height_px=900", crop=(1000, 640)),
-    _synthetic("pandar64-fisheye", "lidar=pandar64&width_px=1000&height_px=600&camera=fisheye", weights="synthetic"),
-    _synthetic("os1-64-f400", "lidar=os1-64&width_px=690&height_px=480&camera=opencv-distorted", weights="synthetic"),
+    _synthetic("pandar64-fisheye", "lidar=pandar64&width_px=1000&height_px=600&camera=fisheye"),
+    _synthetic("os1-64-f400", "lidar=os1-64&width_px=690&height_px=480&camera=opencv-distorted"),
     _synthetic("os1-64-f1450", "lidar=os1-64&width_px=2500&height_px=900&place=street", crop=(1100, 650)),
     _synthetic("os1-128-f580", "lidar=os1-128&width_px=1000&height_px=560"),
     _synthetic("os1-128-f1500", "lidar=os1-128&width_px=2600&height_px=800", crop=(1100, 650)),
-    _random("a", "kitti"),
-    _random("b", "synthetic"),
+    _random("a"),
+    _random("b"),
     _synthetic("mid40-f700", "lidar=mid-40&width_px=1200&height_px=600"),
 )
 

@@ -181,7 +181,7 @@ INTERVAL_ERROR_MODEL = ErrorModel(
     axis=1.17,
     strong=12.0,
 )
-"""Fitted by `python benchmarks/verdicts.py fit`: docs/benchmarks.md, The error model. The likelihood of
+"""Fitted by `python benchmarks/left_out.py fit`: docs/benchmarks.md, The error model. The likelihood of
 intervals contains the error by the position of outlines between beams; odds ratios of long intervals are small.
 """
 _MIN_ODDS, _MAX_ODDS = 1.5, 40.0

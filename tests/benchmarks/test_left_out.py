@@ -1,13 +1,15 @@
-"""The error model that `python benchmarks/verdicts.py fit` fits is that of `p2o.confidence.accuracy`."""
+"""The error model that `python benchmarks/left_out.py fit` fits is that of `p2o.confidence.accuracy`."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import left_out
 import numpy as np
 import pytest
-import verdicts
+from left_out import USUAL, Row, compared, fitted, report
 from p2o.confidence.accuracy import DEFAULT_ERROR_MODEL, ErrorBudget, likely_covariance
 from p2o.results.evidence import Agreement
-from verdicts import USUAL, Row, fitted, report
 
 from tests.edge_scene import TRUTH
 
@@ -22,7 +24,7 @@ def row(rig: str, rng: np.random.Generator, *, intervals: bool = False, is_right
     covariance = likely_covariance(budget, TRUTH, AGREEMENT.odds_ratio, DEFAULT_ERROR_MODEL)
     error = rng.normal(size=6) * np.sqrt(np.diag(covariance))
     size = float(np.degrees(np.linalg.norm(error[:3]))), float(np.linalg.norm(error[3:]))
-    return Row(rig, is_right, True, False, intervals, error, size, (0.0, 0.0), TRUTH, budget, AGREEMENT, None)
+    return Row(rig, 1, is_right, True, False, intervals, error, size, (0.0, 0.0), TRUTH, budget, AGREEMENT, None)
 
 
 def rows() -> list[Row]:
@@ -33,7 +35,7 @@ def rows() -> list[Row]:
 def test_the_variances_of_the_fit_are_those_of_the_predicted_error() -> None:
     results = rows()[:4]
     model = {name: getattr(DEFAULT_ERROR_MODEL, name) for name in USUAL}
-    variances = verdicts._Errors.of(results).variance(model)
+    variances = left_out._Errors.of(results).variance(model)
     for result, variance in zip(results, variances, strict=True):
         assert result.budget is not None
         covariance = likely_covariance(result.budget, TRUTH, AGREEMENT.odds_ratio, DEFAULT_ERROR_MODEL)
@@ -43,7 +45,7 @@ def test_the_variances_of_the_fit_are_those_of_the_predicted_error() -> None:
 def test_bounds_of_a_fit_contain_the_shares_of_the_errors() -> None:
     results = [result for result in rows() if not result.intervals]
     model = fitted(results, intervals=False)
-    covered = [verdicts._Judged.of(result, model).covered for result in results]
+    covered = [left_out._Judged.of(result, model).covered for result in results]
     assert np.mean(covered, axis=0) == pytest.approx([0.7, 0.7, 0.95, 0.95], abs=0.06)
 
 
@@ -53,3 +55,13 @@ def test_each_rig_has_a_line_and_wrong_pairs_that_are_trusted_are_false_accepts(
     assert [line[1].strip() for line in lines[2:5]] == ["a", "b", "c"]
     assert [line[2].strip() for line in lines[2:5]] == ["16 (16), 0", "16 (16), 0", "16 (16), 1"]
     assert [line[-2].strip() for line in lines[2:5]] == ["0", "0", "1"]
+
+
+def test_the_choice_for_a_rig_is_the_one_that_is_best_on_all_others() -> None:
+    """One choice is far better on one rig only, which must not choose for itself."""
+    good, better = rows(), [replace(result, size=(2 * result.size[0], 2 * result.size[1])) for result in rows()]
+    better = [replace(r, size=(1e-4, 1e-5)) if r.rig == "a" else r for r in better]
+    lines = [line.split("|") for line in compared({"good": good, "better": better}).splitlines()]
+    assert lines[0][2].strip() == "good"
+    chosen = {line[1].strip(): line[-2].strip() for line in lines[2:]}
+    assert chosen == {"a": "good", "b": "better", "c": "better", "all": "better"}
