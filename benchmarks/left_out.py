@@ -1,19 +1,19 @@
 """Choose weights, options and the error model on real rigs, each left out of the choice in turn.
 
-    python benchmarks/left_out.py collect --out build/choice/free                     # calibrates the frames of all rigs
+    python benchmarks/left_out.py collect --out build/choice/free                     # calibrates frames of all rigs
     python benchmarks/left_out.py collect --out build/choice/kitti --weights kitti
-    python benchmarks/left_out.py compare build/choice/free build/choice/kitti        # which is chosen without each rig
-    python benchmarks/left_out.py fit --rows build/choice/free [--by lidar]           # the error model, and its coverage
+    python benchmarks/left_out.py compare build/choice/free build/choice/kitti        # the choice without each rig
+    python benchmarks/left_out.py fit --rows build/choice/free [--by lidar]           # the error model, its coverage
 
-`collect` calibrates frames of real rigs (`rigs.py`; with --rigs also simulated ones) from 2 deg / 0.15 m, one at a time
-and three and eight jointly, and wrong pairs of image and sweep: with the sweep of another frame, or turned, where all
-frames show one place. It adds a JSON line for each to DIR/rows.jsonl, and continues where it was stopped. `compare`
+`collect` calibrates frames of real rigs (`rigs.py`; with --rigs also simulated ones) from 2 deg / 0.15 m, one at a
+time and three and eight jointly, and wrong pairs of image and sweep: with the sweep of another frame, or turned, where
+all frames show one place. It adds a JSON line for each to DIR/rows.jsonl, and continues where it was stopped. `compare`
 prints the errors of each choice by rig, and for each rig the choice that is best on all others. `fit` fits error models
 to results of real rigs whose agreement is sufficient, without the rig (or all rigs of its LiDAR) of each line of the
-table. Coverage in %: 67 % bound of rotation / translation, then 95 % bound; bound and error are medians. Good are errors
-below 0.5 deg and 15 cm, false accepts trusted results with errors over 1 deg or 30 cm, and trusted wrong pairs. Last are
-the models of all rigs, for `p2o.confidence.accuracy`. Errors are those to the published reference, whose own error the
-bounds therefore contain.
+table. Coverage in %: 67 % bound of rotation / translation, then 95 % bound; bound and error are medians. Good are
+errors below 0.5 deg and 15 cm, false accepts trusted results with errors over 1 deg or 30 cm, and trusted wrong pairs.
+Last are the models of all rigs, for `p2o.confidence.accuracy`. Errors are those to the published reference, whose own
+error the bounds therefore contain.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ SEEDS = {"vehicle": 7001, "roads": 7002, "anywhere": 7003}
 
 @dataclass(frozen=True)
 class Size:
-    """Number of places, steps of the optimiser, crops in a step, highest learning rate, and processes that draw crops."""
+    """Number of places, steps, crops in a step, highest learning rate, and processes that draw crops."""
 
     places: int
     steps: int
@@ -48,7 +48,7 @@ HELD_OUT = 10
 """The last places of every kind, which are only used for validation."""
 
 
-class _NextStage(Exception):
+class _NextStageError(Exception):
     """More places are to be drawn from."""
 
 
@@ -102,11 +102,11 @@ def train(size: Size, out: Path, data: list[list[Path]], start_from: str) -> Pat
         def report(progress: TrainingProgress, stop: float = stop) -> None:
             print(f"step {progress.step}: loss {progress.loss:.4f}, validation {progress.validation:.4f}", flush=True)
             if stop * size.steps <= progress.step < size.steps:
-                raise _NextStage
+                raise _NextStageError
 
         try:
             weights = training.train(options, groups, validation, out, report)
-        except _NextStage:
+        except _NextStageError:
             continue
     return weights
 
