@@ -94,6 +94,45 @@ def test_without_a_driver_of_a_gpu_the_default_run_imports_no_torch() -> None:
     assert done.stderr.splitlines()[-1] == "False"
 
 
+NO_TORCH = """
+import sys
+class Missing:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in ("torch", "kornia"):
+            raise ModuleNotFoundError(f"No module named '{name}'", name=name)
+sys.meta_path.insert(0, Missing())
+from p2o.cli import main
+print(main(sys.argv[1:]))
+"""
+"""A program in which PyTorch and kornia are not installed."""
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (("run", "--data", "synthetic:?megapixels=0.1", "--perturb", "1deg 0.05m"), "0"),
+        (
+            ("run", "--data", "synthetic:?megapixels=0.1", "--set", "extractor.device=cuda"),
+            "p2ornet' needs the package torch",
+        ),
+        (("run", "--data", "synthetic:?megapixels=0.1", "--calibrator", "lccnet"), "lccnet' needs the package torch"),
+        (("train", "p2ornet", "--data", "synthetic:?megapixels=0.1", "--out", "out"), "needs the package torch"),
+        (("doctor", "--quick"), "0"),
+        (("methods", "--matrix"), "0"),
+    ],
+    ids=lambda value: value[-1] if isinstance(value, tuple) else "",
+)
+def test_without_pytorch_all_but_what_needs_it_works(tmp_path: Path, words: tuple[str, ...], expected: str) -> None:
+    done = subprocess.run([sys.executable, "-c", NO_TORCH, *words], capture_output=True, text=True, cwd=tmp_path)
+    assert "Traceback" not in done.stderr
+    if expected == "0":
+        assert done.stdout.splitlines()[-1] == "0", done.stderr
+    else:
+        [line] = [line for line in done.stderr.splitlines() if line.startswith("p2o: error")]
+        assert expected in line
+        assert "pip install" in line
+
+
 @pytest.mark.parametrize("command", ["", *_COMMANDS, "data list", "data check", "plugin list", "plugin check"])
 def test_every_command_explains_itself(
     command: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -140,7 +141,7 @@ def _predictor(device: str, path: Path) -> tuple[Callable[[UInt8], Float], Shape
 
 def _gpu(device: str) -> torch.device | None:
     """Return the GPU to compute on, or None for the CPU, which does not need torch."""
-    if device == "cpu" or (device == "auto" and not has_gpu_driver()):
+    if device == "cpu" or (device == "auto" and not (has_gpu_driver() and importlib.util.find_spec("torch"))):
         return None
     import torch
 

@@ -162,8 +162,11 @@ def _version(name: str) -> str | None:
 
 
 def _gpu() -> Iterator[_Outcome]:
-    import torch
-
+    try:
+        import torch
+    except ModuleNotFoundError:
+        yield "GPU", State.ABSENT, "not looked for without PyTorch; not needed for calibrations, useful for trainings"
+        return
     if torch.cuda.is_available():
         yield ("GPU", State.OK, torch.cuda.get_device_name())
     else:
