@@ -9,7 +9,7 @@
 time and three and eight jointly, and wrong pairs of image and sweep: with the sweep of another frame, or turned, where
 all frames show one place. It adds a JSON line for each to DIR/rows.jsonl, and continues where it was stopped. `compare`
 prints the errors of each choice by rig, and for each rig the choice that is best on all others. `fit` fits error models
-to results of real rigs whose agreement is sufficient, without the rig (or all rigs of its LiDAR) of each line of the
+to all results of real rigs, trusted or not, without the rig (or all rigs of its LiDAR) of each line of the
 table. Coverage in %: 67 % bound of rotation / translation, then 95 % bound; bound and error are medians. Good are
 errors below 0.5 deg and 15 cm, false accepts trusted results with errors over 1 deg or 30 cm, and trusted wrong pairs.
 Last are the models of all rigs, for `p2o.confidence.accuracy`. Errors are those to the published reference, whose own
@@ -41,12 +41,12 @@ from p2o.results.result import Result
 from rigs import RIGS, Rig, Sample, is_real, lidar_of
 
 AXES = ("pitch_deg", "yaw_deg", "roll_deg", "x_m", "y_m", "z_m")
-SHARES = (0.70, 0.95)
+SHARES = (0.70, 0.955)
 """Shares of the errors that the 67 % and the 95 % bounds of a fit contain, where a rig with few results has a higher
-weight than its number of results: of all results on rigs left out they contain 0.72 and 0.97.
+weight than its number of results, and a rig that is left out has larger errors than the others.
 """
 USUAL = {"pairs": 1.1, "by_odds": 0.5, "beams": 1.2, "rings": 0.65}
-USUAL |= {"view_deg": 0.05, "view_m": 0.01, "floor_deg": 0.019, "floor_m": 0.007}
+USUAL |= {"view_deg": 0.05, "view_m": 0.01, "floor_deg": 0.019, "floor_m": 0.007, "strong": 18.0, "by_strength": 1.5}
 """The parameters of a model at which a fit begins, and towards which it is drawn slightly."""
 OBJECT_M = DEFAULT_ERROR_MODEL.object_m
 """The error of outlines of near objects; it is not fitted."""
@@ -56,8 +56,6 @@ IN_QUESTION = ("acfr_vlp16", "nuscenes", "pjlab")
 of acfr_vlp16 (near and far, horizontal and vertical) contradict the reference by about 1 deg of pitch; that of nuscenes
 is mapped between moments of a moving car; two of the three of pjlab are published as doubtful.
 """
-STRONG = 12.0
-"""Strength of the agreement below which 95 % bounds are wider."""
 FREEDOM = 4.0
 """Degrees of freedom of Student's t for the errors: some edges are matched with others."""
 MODELS = {"DEFAULT_ERROR_MODEL": False, "INTERVAL_ERROR_MODEL": True}
@@ -243,9 +241,8 @@ class Row:
 
     @property
     def usable(self) -> bool:
-        """Whether a fit uses it: a right pair of a real rig with sufficient agreement and no reference in question."""
-        real = is_real(self.rig) and self.rig not in IN_QUESTION
-        return real and self.is_right and self.budget is not None and not self.doubted
+        """Whether a fit uses it: a right pair of a real rig whose reference is not in question, trusted or not."""
+        return is_real(self.rig) and self.rig not in IN_QUESTION and self.is_right and self.budget is not None
 
     def predicted(self, model: ErrorModel) -> Accuracy | None:
         """Return the predicted error by a model."""
@@ -257,8 +254,8 @@ class Row:
 
 @dataclass(frozen=True, eq=False)
 class _Errors:
-    """Results of right pairs whose agreement is sufficient: errors (K, 6) by axis, parts (K, 5, 6) of their variance,
-    odds ratios over 10 and views (K,), weights (K,) and variances (K, 6) of the references.
+    """Results of right pairs: errors (K, 6) by axis, parts (K, 5, 6) of their variance, odds ratios over 10 and views
+    (K,), weights (K,) and variances (K, 6) of the references.
     """
 
     rows: Sequence[Row]
@@ -292,7 +289,9 @@ class _Errors:
         pairs = np.square(model["pairs"] * self.odds ** -model["by_odds"])
         scales = [model["beams"] ** 2, OBJECT_M**2, model["rings"] ** 2, 1.0]
         parts = np.einsum("p,kpa->ka", scales, self.parts[:, 1:]) + pairs[:, None] * self.parts[:, 0]
-        return np.asarray(parts + view + floor)
+        weak = DEFAULT_ERROR_MODEL._replace(strong=model["strong"], by_strength=model["by_strength"])
+        inflation = [weak.inflation(row.agreement) for row in self.rows]
+        return np.asarray(np.square(inflation)[:, None] * (parts + view + floor))
 
     def unlikely(self, model: Mapping[str, float]) -> float:
         """Return the mean of minus the log-likelihood of the errors as Student's t."""
@@ -303,20 +302,16 @@ class _Errors:
     def factors(self, model: Mapping[str, float]) -> dict[str, Any]:
         """Return the factors of rotation, of translation and by axis within which `SHARES` of the errors are."""
         axes = np.sqrt(self.variance(model))
-        wider = np.array([max(1.0, STRONG / max(np.nan_to_num(row.agreement.strength), 3.0)) for row in self.rows])
         sizes = np.linalg.norm(axes.reshape(-1, 2, 3), axis=2)
         ratios = np.array([row.size for row in self.rows]) / np.column_stack([np.degrees(sizes[:, 0]), sizes[:, 1]])
         beyond = np.abs(self.error) / axes
-        rotation, translation = (
-            (_quantile(ratio, self.weight, SHARES[0]), _quantile(ratio / wider, self.weight, SHARES[1]))
-            for ratio in ratios.T
-        )
+        rotation, translation = (tuple(_quantile(ratio, self.weight, share) for share in SHARES) for ratio in ratios.T)
         axis = _quantile(beyond.ravel(), np.repeat(self.weight, 6), SHARES[0])
         return {"rotation": rotation, "translation": translation, "axis": axis}
 
 
 def fitted(rows: Sequence[Row], *, intervals: bool) -> ErrorModel:
-    """Return the model of right pairs of real rigs whose agreement is sufficient, with or without intervals.
+    """Return the model of right pairs of real rigs, with or without intervals.
 
     Parts and floors make the errors by axis most likely as Student's t; then factors are set such that the bounds
     contain `SHARES` of the errors.
@@ -324,17 +319,19 @@ def fitted(rows: Sequence[Row], *, intervals: bool) -> ErrorModel:
     from scipy.optimize import minimize
 
     errors = _Errors.of([row for row in rows if row.usable and row.intervals is intervals])
-    names = ("pairs", "view_deg", "view_m", "floor_deg", "floor_m") if intervals else tuple(USUAL)
+    without = ("by_odds", "beams", "rings") if intervals else ()
+    names = tuple(name for name in USUAL if name not in without)
     usual = np.log([USUAL[name] for name in names])
 
     def unlikely(logarithms: Float) -> float:
-        # Parameters that the rows do not determine remain at their usual values.
-        prior = 0.01 * np.square(logarithms - usual).sum()
-        return errors.unlikely(dict(zip(names, np.exp(logarithms), strict=True))) + float(prior)
+        # Parameters that the rows do not determine remain at their usual values. Weaker priors (0.01 to 0.3) covered
+        # fewer errors of rigs that were left out.
+        prior = float(np.square(logarithms - usual).sum())
+        return errors.unlikely(dict(zip(names, np.exp(logarithms), strict=True))) + prior
 
     solution = np.exp(minimize(unlikely, usual, method="Powell", options={"xtol": 1e-3, "ftol": 1e-6}).x)
     model = {name: float(f"{value:.2g}") for name, value in zip(names, solution, strict=True)}
-    return ErrorModel(**dict.fromkeys(USUAL, 0.0) | model, **errors.factors(model), object_m=OBJECT_M, strong=STRONG)
+    return ErrorModel(**dict.fromkeys(USUAL, 0.0) | model, **errors.factors(model), object_m=OBJECT_M)
 
 
 def _variances(row: Row) -> Float:
@@ -378,15 +375,14 @@ def compared(rows_of: Mapping[str, Sequence[Row]]) -> str:
         rig = name.partition(",")[0]
         chosen = best([other for other in known if other.partition(",")[0] != rig])
         lines.append((name, *(cells[name][choice] for choice in rows_of), chosen))
-    lines.append(
-        ("all", *(size(*np.exp(np.mean([known[n][c] for n in known], axis=0))) for c in rows_of), best([*known]))
-    )
+    means = (np.exp(np.mean([found[choice] for found in known.values()], axis=0)) for choice in rows_of)
+    lines.append(("all, geometric mean", *(size(*mean) for mean in means), best([*known])))
     return table(("rig: median (mean), good", *rows_of, "best on the others"), lines)
 
 
 def report(rows: Sequence[Row], part: Callable[[str], str]) -> str:
     """Return the table of predicted errors and verdicts, by `part` of the rigs' names, and the error models of all."""
-    head = ("rig", "right (of these with agreement), wrong pairs", "coverage", "95 % bound", "error", "good (trusted)")
+    head = ("rig", "right, wrong pairs", "coverage", "95 % bound", "error", "good (trusted)", "trusted, outside 95 %")
     cells: dict[str, list[_Judged]] = {}
     for name, group in sorted(grouped(rows, lambda row: part(row.rig)).items()):
         others = [row for row in rows if part(row.rig) != name]
@@ -430,18 +426,17 @@ class _Judged:
 
 def _line(name: str, cells: Sequence[_Judged]) -> tuple[object, ...]:
     right = [cell for cell in cells if cell.row.is_right and cell.accuracy is not None]
-    agreed = [cell for cell in right if not cell.row.doubted]
     coverage = bound = error = "-"
-    if agreed:
-        coverage = " / ".join(f"{100 * share:.0f}" for share in np.mean([cell.covered for cell in agreed], axis=0))
-        bounds = [(cell.accuracy.rotation_deg_95, cell.accuracy.translation_m_95) for cell in agreed if cell.accuracy]
-        bound, error = (size(*np.median(pairs, axis=0)) for pairs in (bounds, [cell.row.size for cell in agreed]))
+    if right:
+        coverage = " / ".join(f"{100 * share:.0f}" for share in np.mean([cell.covered for cell in right], axis=0))
+        bounds = [(cell.accuracy.rotation_deg_95, cell.accuracy.translation_m_95) for cell in right if cell.accuracy]
+        bound, error = (size(*np.median(pairs, axis=0)) for pairs in (bounds, [cell.row.size for cell in right]))
     good = [cell.trusted for cell in right if is_good(*cell.row.size)]
-    pairs = (
-        f"{sum(cell.row.is_right for cell in cells)} ({len(agreed)}), {sum(not cell.row.is_right for cell in cells)}"
-    )
+    trusted = [cell for cell in right if cell.trusted]
+    outside = f"{sum(not all(cell.covered[2:]) for cell in trusted)} of {len(trusted)}"
+    pairs = f"{sum(cell.row.is_right for cell in cells)}, {sum(not cell.row.is_right for cell in cells)}"
     false = sum(cell.trusted and (not cell.row.is_right or is_wrong(*cell.row.size)) for cell in cells)
-    return name, pairs, coverage, bound, error, f"{len(good)} ({sum(good)})", false
+    return name, pairs, coverage, bound, error, f"{len(good)} ({sum(good)})", outside, false
 
 
 if __name__ == "__main__":

@@ -40,7 +40,7 @@ PHRASES = {
 IDENTIFIERS = {
     "Law": "ErrorModel",
     "LAW": "DEFAULT_ERROR_MODEL",
-    "weakness": "outlier_inflation",
+    "weakness": "inflation",
     "Spread": "ErrorBudget",
     "_ALIKE": "_PAIRS_PER_OUTLINE",
     "_TOO_SURE": "_SIGMA_INFLATION",

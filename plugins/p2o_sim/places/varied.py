@@ -21,7 +21,8 @@ _FREE_M = 2.4
 def layout(plan: Plan) -> Layout:
     """Return one of the roads with vehicles close by, long things along it, and small things at any density."""
     rng = plan.rng
-    road = (town, suburb, highway, woods)[rng.integers(4)].layout(plan)
+    layouts = (town.layout, suburb.layout, highway.layout, woods.layout)
+    road = layouts[rng.integers(4)](plan)
     things = road.things
     end = plan.travel_m + 90.0
     for side in (-1, 1):
@@ -39,22 +40,18 @@ def layout(plan: Plan) -> Layout:
 
 def _along(plan: Plan, side: int, y: float, end: float) -> list[Thing]:
     """Return one long thing in pieces of 6 m, with gaps: a fence, a wall, a rail, a hedge or a thicket."""
-    rng, out = plan.rng, []
+    rng = plan.rng
     height = rng.uniform(2.0, 8.0)
-    kind = int(rng.integers(5))
-    for x in np.arange(-30.0, end, 6.0):
-        if rng.random() < 0.15:
-            continue
-        sight = plan.sight_m(x + 3.0, y)
-        makers: tuple[Callable[[], Thing], ...] = (
-            lambda: fence(rng, 6.0),
-            lambda: noise_wall(rng, 6.0),
-            lambda: guard_rail(6.0),
-            lambda sight=sight: hedge(rng, 6.0, sight),
-            lambda sight=sight: thicket(rng, 6.0, 2.0, height, sight),
-        )
-        out.append(on_side(makers[kind](), side, x, y, 6.0, 0.05))
-    return out
+    makers: tuple[Callable[[float], Thing], ...] = (
+        lambda sight: fence(rng, 6.0),
+        lambda sight: noise_wall(rng, 6.0),
+        lambda sight: guard_rail(6.0),
+        lambda sight: hedge(rng, 6.0, sight),
+        lambda sight: thicket(rng, 6.0, 2.0, height, sight),
+    )
+    make = makers[rng.integers(len(makers))]
+    places = (x for x in np.arange(-30.0, end, 6.0) if rng.random() > 0.15)
+    return [on_side(make(plan.sight_m(x + 3.0, y)), side, x, y, 6.0, 0.05) for x in places]
 
 
 def _vehicles(plan: Plan, side: int, end: float) -> list[Thing]:

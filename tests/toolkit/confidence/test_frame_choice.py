@@ -88,7 +88,7 @@ def test_what_stays_open_is_named_with_its_reason() -> None:
     poles = [frame(f"{i}", UPRIGHT, seed=i) for i in range(3)]
     (*_, last) = choose(poles, count=3)
     assert last.accuracy is not None
-    words = open_axes(last.accuracy, Wanted(0.2, 0.05))
+    words = open_axes(last.accuracy, Wanted(0.05, 0.05))
     assert "pitch" in words
     assert "yaw" not in words
     assert "0 of" in shortage(poles, words)

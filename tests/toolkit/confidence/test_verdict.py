@@ -67,9 +67,9 @@ def test_one_direction_that_does_not_agree_makes_a_result_doubtful_and_is_named(
 
 
 def test_what_may_be_far_off_by_its_own_word_is_doubtful() -> None:
-    fine = Accuracy(0.2, 0.05, 0.9, 0.25)
+    fine = Accuracy(0.2, 0.05, 0.7, 0.25)
     assert verdict_of(GOOD, None, (), OPTIONS, fine).trusted
-    for unsure in (replace(fine, rotation_deg_95=1.1), replace(fine, translation_m_95=0.31)):
+    for unsure in (replace(fine, rotation_deg_95=0.9), replace(fine, translation_m_95=0.31)):
         verdict = verdict_of(GOOD, None, (), OPTIONS, unsure)
         assert (verdict.trust, verdict.reasons[0].doubt) == (Trust.DOUBTFUL, Doubt.TOO_UNSURE)
         assert verdict_of(GOOD, None, (), PipelineOptions(most_deg=2, most_m=1), unsure).trusted

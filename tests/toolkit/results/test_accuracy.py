@@ -71,11 +71,12 @@ def test_errors_fall_with_the_odds_without_a_step_back() -> None:
     assert (np.diff(bounds) <= 0).all()
 
 
-def test_few_places_make_the_worst_results_worse_but_not_the_usual_ones() -> None:
-    many, few = (likely_accuracy(spread(covariance()), TRUTH, met(0.25, places)) for places in (80, 5))
-    assert few.rotation_deg == many.rotation_deg
-    assert few.rotation_deg_95 > many.rotation_deg_95
-    assert few.translation_m_95 > many.translation_m_95
+def test_agreement_in_few_places_widens_all_errors_alike() -> None:
+    many, few = (likely_accuracy(spread(covariance()), TRUTH, met(0.25, places)) for places in (400, 5))
+    ratio = few.rotation_deg / many.rotation_deg
+    assert ratio > 1.5
+    for name in ("translation_m", "rotation_deg_95", "translation_m_95", "yaw_deg", "z_m"):
+        assert getattr(few, name) / getattr(many, name) == pytest.approx(ratio)
 
 
 def test_a_direction_that_nothing_determines_widens_its_own_axis_only() -> None:
@@ -109,7 +110,7 @@ def test_total_axes_and_covariance_state_one_predicted_error(model: ErrorModel, 
     rotation, translation = by_axis(found)
     assert found.rotation_deg == pytest.approx(np.linalg.norm(rotation))
     assert found.translation_m == pytest.approx(np.linalg.norm(translation))
-    whole = predicted_covariance(likely_covariance(budget, TRUTH, met(0.25).odds_ratio, model), TRUTH, model)
+    whole = predicted_covariance(likely_covariance(budget, TRUTH, met(0.25), model), TRUTH, model)
     assert deviations(whole, TRUTH) == pytest.approx((found.rotation_deg, found.translation_m))
 
 

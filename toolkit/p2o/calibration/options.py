@@ -40,7 +40,7 @@ class PipelineOptions(Options):
         help="Mark a result as doubtful if the strength of the agreement is below this value: the logarithm of the "
         "odds ratio times the root of the number of independent cells where edges agree.",
     )
-    most_deg: float = option(1.0, gt=0, help="A larger 95 % rotation bound, in degrees, marks a result as doubtful.")
+    most_deg: float = option(0.8, gt=0, help="A larger 95 % rotation bound, in degrees, marks a result as doubtful.")
     most_m: float = option(0.3, gt=0, help="A larger 95 % translation bound, in metres, marks a result as doubtful.")
     min_lead_edges: float = option(
         1.5, ge=0, help="Mark a result as ambiguous if another pose loses fewer matched edges than this against it."

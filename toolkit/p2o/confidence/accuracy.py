@@ -132,8 +132,8 @@ class ErrorModel(NamedTuple):
     `view_deg` and `view_m` are the error of one view that pairs do not show (mismatches of a scene), which falls with
     the root of the number of views; `floor_deg` and `floor_m` that of any number. `rotation` and `translation` are the
     factors of the 67 % and 95 % bounds, in total and by axis; `axis` is the one that suits the errors of all axes
-    together, for sums with other estimates. Where the strength of the agreement is below `strong`, the 95 % bounds are
-    wider (`outlier_inflation`).
+    together, for sums with other estimates. Where the strength of the agreement is below `strong`, all deviations are
+    wider by the power `by_strength` of their ratio: with little evidence, more of the pairs are mismatches.
     """
 
     pairs: float
@@ -149,44 +149,52 @@ class ErrorModel(NamedTuple):
     translation: tuple[float, float]
     axis: float
     strong: float
+    by_strength: float
+
+    def inflation(self, agreement: Agreement) -> float:
+        """Return the factor of all deviations for weak agreement in few independent cells; 1 where it is strong."""
+        strength = max(float(np.nan_to_num(agreement.strength, nan=0.0)), _MIN_STRENGTH)
+        return float(max(1.0, self.strong / strength) ** self.by_strength)
 
 
 DEFAULT_ERROR_MODEL = ErrorModel(
-    pairs=1.3,
-    by_odds=0.25,
-    beams=0.51,
-    rings=0.36,
+    pairs=0.96,
+    by_odds=0.48,
+    beams=1.1,
+    rings=0.63,
     object_m=0.01,
-    view_deg=0.019,
-    view_m=0.005,
-    floor_deg=0.011,
-    floor_m=0.0036,
-    rotation=(1.58, 4.05),
-    translation=(1.04, 2.76),
-    axis=1.28,
-    strong=12.0,
+    view_deg=0.049,
+    view_m=0.0097,
+    floor_deg=0.019,
+    floor_m=0.0068,
+    rotation=(1.19, 3.22),
+    translation=(1.23, 1.91),
+    axis=1.19,
+    strong=17.0,
+    by_strength=1.5,
 )
 INTERVAL_ERROR_MODEL = ErrorModel(
-    pairs=0.83,
+    pairs=0.99,
     by_odds=0.0,
     beams=0.0,
     rings=0.0,
     object_m=0.01,
-    view_deg=0.044,
-    view_m=0.0073,
-    floor_deg=0.017,
-    floor_m=0.007,
-    rotation=(1.34, 3.03),
-    translation=(1.34, 3.15),
-    axis=1.17,
-    strong=12.0,
+    view_deg=0.049,
+    view_m=0.0094,
+    floor_deg=0.019,
+    floor_m=0.0067,
+    rotation=(1.37, 2.76),
+    translation=(1.23, 3.67),
+    axis=1.04,
+    strong=17.0,
+    by_strength=1.4,
 )
 """Fitted by `python benchmarks/left_out.py fit`: docs/benchmarks.md, The error model. The likelihood of
 intervals contains the error by the position of outlines between beams; odds ratios of long intervals are small.
 """
 _MIN_ODDS, _MAX_ODDS = 1.5, 40.0
 """The range of odds ratios in the fit; beyond it the model is constant."""
-_MIN_STRENGTH = 3.0
+_MIN_STRENGTH = 4.0
 
 
 def likely_accuracy(
@@ -198,20 +206,19 @@ def likely_accuracy(
     the odds ratio of the agreement.
     """
     model = budget.model if model is None else model
-    return accuracy_of(likely_covariance(budget, camera_from_lidar, agreement.odds_ratio, model), agreement, model)
+    return accuracy_of(likely_covariance(budget, camera_from_lidar, agreement, model), model)
 
 
-def accuracy_of(covariance: Float, agreement: Agreement, model: ErrorModel) -> Accuracy:
+def accuracy_of(covariance: Float, model: ErrorModel) -> Accuracy:
     """Return the predicted error of a pose from the covariance (6, 6) of its errors (`likely_covariance`).
 
     The square of the total (67 %) is the sum of the squares of its axes.
     """
     axes = np.sqrt(np.diag(covariance))
     rotation_deg, translation_m = float(np.degrees(np.linalg.norm(axes[:3]))), float(np.linalg.norm(axes[3:]))
-    inflations = (1.0, outlier_inflation(agreement, model))
     bounds = [
-        (more * factor * rotation_deg, more * other * translation_m)
-        for more, factor, other in zip(inflations, model.rotation, model.translation, strict=True)
+        (factor * rotation_deg, other * translation_m)
+        for factor, other in zip(model.rotation, model.translation, strict=True)
     ]
     pitch, yaw, roll = (model.rotation[0] * np.degrees(axes[:3])).tolist()
     x, y, z = (model.translation[0] * axes[3:]).tolist()
@@ -230,14 +237,14 @@ def predicted_covariance(likely: Float, camera_from_lidar: Float, model: ErrorMo
 
 
 def likely_covariance(
-    budget: ErrorBudget, camera_from_lidar: Float, odds_ratio: float, model: ErrorModel | None = None
+    budget: ErrorBudget, camera_from_lidar: Float, agreement: Agreement, model: ErrorModel | None = None
 ) -> Float:
     """Return the predicted covariance (6, 6): rotations about the camera axes in rad, positions of the LiDAR in m.
 
     It is a sum of covariances: a direction that one component does not constrain is widened, and no other.
     """
     model = budget.model if model is None else model
-    odds = float(np.clip(np.nan_to_num(odds_ratio, nan=0.0), _MIN_ODDS, _MAX_ODDS))
+    odds = float(np.clip(np.nan_to_num(agreement.odds_ratio, nan=0.0), _MIN_ODDS, _MAX_ODDS))
     floor = np.square([np.radians(model.floor_deg), model.floor_m])
     view = np.square([np.radians(model.view_deg), model.view_m]) / budget.views
     own = np.repeat(floor + view, 3) + (model.rings * budget.rings) ** 2
@@ -245,7 +252,7 @@ def likely_covariance(
     scatter = scale**2 * budget.pairs + model.beams**2 * budget.beams
     scatter = scatter + model.object_m**2 * budget.objects + budget.cameras
     by_update = place_by_update(camera_from_lidar)
-    likely = np.asarray(by_update @ scatter @ by_update.T + np.diag(own))
+    likely = model.inflation(agreement) ** 2 * np.asarray(by_update @ scatter @ by_update.T + np.diag(own))
     return plus_known(likely, budget.absorbed, camera_from_lidar, model)
 
 
@@ -267,12 +274,6 @@ def or_rival(accuracy: Accuracy, rival: Rival | None, min_lead_edges: float) -> 
     return replace(
         accuracy, rotation_deg_95=rotation_deg, translation_m_95=max(accuracy.translation_m_95, rival.translation_m)
     )
-
-
-def outlier_inflation(agreement: Agreement, model: ErrorModel) -> float:
-    """Return the factor of the 95 % bounds for weak agreement in few independent cells; 1 where it is strong."""
-    strength = float(np.nan_to_num(agreement.strength, nan=0.0))
-    return max(1.0, model.strong / max(strength, _MIN_STRENGTH))
 
 
 _MOST_CHI_SQUARE = 16.81

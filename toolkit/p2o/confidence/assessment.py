@@ -73,20 +73,20 @@ def assess(
     if agreement is not None and scatter is not None and scatter.budget is not None:
         budget = scatter.budget
         warnings = (*warnings, *standing_still(budget.views, len(views)))
-        likely = by_edges = likely_covariance(budget, pose, agreement.odds_ratio)
+        likely = by_edges = likely_covariance(budget, pose, agreement)
         accuracy = likely_accuracy(budget, pose, agreement)
         weighted = _with_prior(estimate, likely, budget.model, accuracy, start_sigma)
         if weighted is not None:
             pose, likely, judged, weight = weighted
-            accuracy = accuracy_of(likely, agreement, budget.model)
+            accuracy = accuracy_of(likely, budget.model)
         doubted = accuracy
         if not final.cameras_corrected:
             rivals = _rival_covariance(estimate.refined, options.min_lead_edges)
             if weight is not None:
                 by_edges = plus_known(by_edges, rivals, weight.camera_from_lidar, budget.model)
-                weight = replace(weight, accuracy=accuracy_of(by_edges, agreement, budget.model))
+                weight = replace(weight, accuracy=accuracy_of(by_edges, budget.model))
             likely = plus_known(likely, rivals, pose, budget.model)
-            accuracy = accuracy_of(likely, agreement, budget.model)
+            accuracy = accuracy_of(likely, budget.model)
         covariance = predicted_covariance(likely, pose, budget.model)
     cameras = checks_of(final, [view.camera for view in views])
     left_box = None if estimate.refined.within(pose) else estimate.refined.box

@@ -20,7 +20,6 @@ from p2o.confidence.accuracy import (
     ErrorBudget,
     ErrorModel,
     likely_covariance,
-    outlier_inflation,
 )
 from p2o.confidence.explanation import Explanation, explanations, single_axis_pose
 from p2o.confidence.fusion import OWN_SHARE
@@ -163,15 +162,14 @@ def _step(
     given: Float, pose: Float, budget: ErrorBudget, model: ErrorModel, agreed: Agreement, places: int
 ) -> EdgeStep | str:
     """Return the step from the estimate `pose` (4, 4) to the given pose (4, 4) with its predicted error."""
-    likely = (model.axis / Z_67) ** 2 * likely_covariance(budget, pose, agreed.odds_ratio, model)
+    likely = (model.axis / Z_67) ** 2 * likely_covariance(budget, pose, agreed, model)
     units = np.repeat([np.degrees(1.0), 1.0], 3)
     covariance = (units[:, None] * likely * units)[np.ix_(_AXES, _AXES)]
     common = np.diag(np.repeat([_COMMON_DEG, _COMMON_M], 3) ** 2)
     if not np.isfinite(covariance).all():
         return "a direction is unobservable"
     error = np.array(list(pose_error(given, pose).per_axis.values()))
-    covariance = outlier_inflation(agreed, model) ** 2 * covariance + common
-    return EdgeStep(pose, error, covariance, agreed, places)
+    return EdgeStep(pose, error, covariance + common, agreed, places)
 
 
 def _is_far(begin: Float, pose: Float) -> bool:

@@ -48,8 +48,9 @@ def weights_of(
 def _folders(folders: list[tuple[Path, str]]) -> list[tuple[Path, str]]:
     """Return folders, and those of installed packages of weights, each with the licence that its metadata state."""
     for entry in sorted(entry_points(group=GROUP), key=lambda entry: (entry.name, entry.value)):
-        spec = importlib.util.find_spec(entry.value) if "." not in entry.value and ":" not in entry.value else None
-        about = entry.dist.metadata if entry.dist is not None else {}
-        licence = about.get("License-Expression") or about.get("License") or "no licence stated"
-        folders = [*folders, *((Path(place), licence) for place in (spec and spec.submodule_search_locations) or ())]
+        spec = importlib.util.find_spec(entry.value) if entry.value.isidentifier() else None
+        places = [] if spec is None else spec.submodule_search_locations or []
+        about = {} if entry.dist is None else entry.dist.metadata.json
+        licence = str(about.get("license_expression") or about.get("license") or "no licence stated")
+        folders = [*folders, *((Path(place), licence) for place in places)]
     return folders
