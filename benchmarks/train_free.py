@@ -3,7 +3,9 @@
     python benchmarks/train_free.py --size cpu --out build/free
 
 Frames are rendered by `--renderers` processes while the training runs on those that are there: it begins with a part of
-the places and takes more at fixed steps, for which it waits. The same command continues after an interruption.
+the places and takes more at fixed steps, for which it waits. The same command continues after an interruption. The real
+rigs of build/data, if they are there, are then calibrated with the weights before and after (`left_out.py compare`).
+On a machine with a GPU that is lent for nine minutes: --size gpu --minutes 8.
 """
 
 from __future__ import annotations
@@ -15,10 +17,13 @@ import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from left_out import Row, collect, compared
+from limits_and_tables import read_rows
 from p2o import TrainingGroup, TrainingProgress
 from p2o.host.registry import Registry
 from p2o_train.guarded_trainer import trainer_of
 from p2o_train.train import Source, sources_of, trainable, write_labels
+from rigs import RIGS
 
 _COMMON = "megapixels=0.5&mask_foliage=true&right=false&weather=any"
 DATA = {
@@ -52,6 +57,10 @@ class _NextStageError(Exception):
     """More places are to be drawn from."""
 
 
+class _TimeIsUpError(Exception):
+    """The training has to end: the weights are those of the last validation."""
+
+
 def sources(places: int) -> list[Source]:
     """Return the data sets of `places` places in all."""
     registry = Registry.load()
@@ -80,8 +89,11 @@ def files(source: Source, out: Path) -> list[Path]:
     return [out / source.folder / name for name in source.files(trainer)]
 
 
-def train(size: Size, out: Path, data: list[list[Path]], start_from: str) -> Path:
-    """Train on the label files of each data set, which may still be written, and return the weights."""
+def train(size: Size, out: Path, data: list[list[Path]], start_from: str, minutes: float) -> Path:
+    """Train on the label files of each data set, which may still be written, and return the weights.
+
+    After `minutes`, the weights are those of the last validation.
+    """
     from p2o_plugins.p2ornet import training
     from p2o_plugins.p2ornet.options import Augmentation, TrainingOptions
 
@@ -90,6 +102,7 @@ def train(size: Size, out: Path, data: list[list[Path]], start_from: str) -> Pat
         precision="bfloat16", validate_every=max(100, size.steps // 60), average=0.999,
         augmentation=Augmentation(scale=1.6, marks=12),
     )  # fmt: skip
+    until = time.monotonic() + 60 * minutes
     validation = [path for paths in data for path in paths[-HELD_OUT:]]
     _wait_for(validation)
     for (part, _), (_, stop) in zip(STAGES, (*STAGES[1:], (1.0, 1.01)), strict=True):
@@ -101,14 +114,29 @@ def train(size: Size, out: Path, data: list[list[Path]], start_from: str) -> Pat
 
         def report(progress: TrainingProgress, stop: float = stop) -> None:
             print(f"step {progress.step}: loss {progress.loss:.4f}, validation {progress.validation:.4f}", flush=True)
+            if time.monotonic() > until:
+                raise _TimeIsUpError
             if stop * size.steps <= progress.step < size.steps:
                 raise _NextStageError
 
         try:
-            weights = training.train(options, groups, validation, out, report)
+            training.train(options, groups, validation, out, report)
         except _NextStageError:
             continue
-    return weights
+        except _TimeIsUpError:
+            break
+    return out / "weights.safetensors"
+
+
+def evaluated(choices: dict[str, str], out: Path) -> str:
+    """Return the errors of weights by name on the real rigs, with the choice by all other rigs (`left_out.py`)."""
+    rows_of = {}
+    for name, weights in choices.items():
+        for rig in RIGS:
+            if rig.is_real:
+                collect(replace(rig, weights=weights), out / name, 12)
+        rows_of[name] = [Row.of(values) for values in read_rows(out / name / "rows.jsonl")]
+    return compared(rows_of)
 
 
 def _wait_for(paths: list[Path]) -> None:
@@ -126,6 +154,7 @@ def main() -> None:
     parser.add_argument("--places", type=int, help="instead of the number of the size")
     parser.add_argument("--steps", type=int, help="instead of the number of the size")
     parser.add_argument("--from-weights", default="free", help="weights to begin from; '' for those of ImageNet")
+    parser.add_argument("--minutes", type=float, default=1e6, help="longest time of the training")
     given = parser.parse_args()
     size = SIZES[given.size]
     size = replace(size, places=given.places or size.places, steps=given.steps or size.steps)
@@ -138,7 +167,12 @@ def main() -> None:
     for process in renderers:
         process.start()
     data = [files(source, labels) for source in sources(size.places)]
-    print(train(size, given.out, data, given.from_weights))
+    weights = train(size, given.out, data, given.from_weights, given.minutes)
+    print(weights)
+    for process in renderers:
+        process.terminate()
+    if Path("build/data").is_dir():
+        print(evaluated({"before": given.from_weights or "free", "after": str(weights)}, given.out / "choice"))
 
 
 if __name__ == "__main__":

@@ -138,7 +138,7 @@ def test_for_cameras_that_look_around_land_goes_on_behind(place: str) -> None:
 
 def test_anywhere_draws_every_kind_of_place_and_mixed_roads_only() -> None:
     rng = np.random.default_rng(0)
-    assert {place_of("anywhere", rng) for _ in range(200)} == set(USUAL)
+    assert {place_of("anywhere", rng) for _ in range(200)} == {*USUAL} - {"varied"}
     assert {place_of("mixed", rng) for _ in range(200)} == {"street", "suburb", "highway", "trees"}
 
 
