@@ -59,8 +59,7 @@ def test_a_frame_whose_start_is_long_is_found(tmp_path: Path) -> None:
     [
         (lambda data: data[:-2000], "a record of .* bytes with"),
         (lambda data: data[:5], "a truncated record"),
-        (lambda data: b"\x01" + data[1:], "a length with a wrong checksum"),
-        (lambda data: b"not a record at all", "a length with a wrong checksum"),
+        (lambda data: b"not a record at all", "a record of .* bytes with"),
         (lambda data: record(b"\xff" * 20), "the file of records is damaged"),
         (lambda data: record(whole(2, 5)), "a sensor has no calibration|no data of sensor"),
         (lambda data: record(b"\x0b"), "the file of records is damaged"),

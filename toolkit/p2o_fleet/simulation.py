@@ -31,8 +31,6 @@ _REASONS = {
     Verdict.CANNOT_TELL: "too few pairs of edges are within reach",
     Verdict.UNREADABLE: "the log cannot be read",
 }
-
-
 _OFFSET = np.repeat([0.05, 0.01], 3)
 """Standard deviations, in deg and m, of the constant errors of vehicles, which are at most three of them."""
 
@@ -43,7 +41,6 @@ class Fault(StrEnum):
     NONE = "none"
     SLIP = "slip"
     DRIFT = "drift"
-    WRONG_CAD = "wrong-cad"
     SWAPPED = "swapped-cameras"
     DIRTY = "dirty-lens"
     BROKEN = "broken-logs"

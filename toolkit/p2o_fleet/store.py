@@ -200,7 +200,7 @@ class Writer:
 
     def _stored(self, vehicle: str, key: str) -> tuple[str, ...]:
         """Return verdict and reason of a stored check, empty if there is none."""
-        return self.own.get(key) or self._keys(vehicle).get(key, ())
+        return self.own.get(key) or self._keys(vehicle).get(key) or ()
 
     def _keys_of(self, vehicle: str) -> dict[str, tuple[str, str]]:
         """Return verdict and reason by key; a readable row of a key counts more than an unreadable one."""
