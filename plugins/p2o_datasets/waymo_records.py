@@ -1,9 +1,10 @@
 """A segment of Waymo's release v1: a .tfrecord file, in which each record is a Frame in Protocol Buffers.
 
 Frames follow waymo-research/waymo-open-dataset, src/waymo_open_dataset/dataset.proto (numbers of fields), records
-follow TensorFlow: a length, its checksum, the bytes, and their checksum. Checksums are not verified: lengths have to fit
-the file, and images and range images have their own. Results have the names of v2. Messages are decoded field by field, without definitions, by
-their wire format (protobuf.dev/programming-guides/encoding); groups, which are obsolete, are refused.
+follow TensorFlow: a length, its checksum, the bytes, and their checksum. Checksums are not verified: lengths have to
+fit the file, and images and range images have their own. Results have the names of v2. Messages are decoded field by
+field, without definitions, by their wire format (protobuf.dev/programming-guides/encoding); groups, which are obsolete,
+are refused.
 """
 
 from __future__ import annotations
