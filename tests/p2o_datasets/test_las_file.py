@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from p2o import InputError
-from p2o_datasets.cloud_file import SUFFIXES, read_cloud
+from p2o_datasets.cloud_file import read_cloud
 
 from tests.p2o_datasets.opened import refused
 
@@ -55,10 +55,6 @@ def test_a_file_without_rings_and_times_has_none(tmp_path: Path) -> None:
     path.write_bytes(_las(ring=False, timed=False))
     cloud, warnings = read_cloud(path)
     assert (cloud.ring, cloud.time_s, warnings) == (None, None, ())
-
-
-def test_a_folder_takes_them_for_sweeps() -> None:
-    assert {".las", ".laz"} <= set(SUFFIXES)
 
 
 def _changed(data: bytes, at: int, form: str, value: int) -> bytes:

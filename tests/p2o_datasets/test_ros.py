@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import p2o
 import PIL.Image
 import pytest
 from p2o import Camera, Cloud, Dataset, Frame, Registry, UnknownNameError, se3
@@ -104,24 +103,6 @@ def test_frames_come_out_of_a_bag_as_they_went_in(tmp_path: Path, form: str, syn
         assert np.allclose(frame.camera_from_lidar, source.camera_from_lidar, atol=1e-12)
         assert (frame.start, frame.cloud.time_s, frame.warnings) == (None, None, ())
         assert (frame.sequence, frame.time_s) == ("drive", pytest.approx(0.1 * number))
-
-
-def test_a_run_on_a_bag_ends_where_a_run_on_its_frames_does(tmp_path: Path, synthetic: Sequence[Frame]) -> None:
-    path = write_bag(tmp_path, messages_of(synthetic, START_NS))
-    settings: dict[str, Any] = {
-        "extractor": "canny/rings",
-        "matcher": "nearest",
-        "init": "given",
-        "options": ["pipeline.rounds=3"],
-        "frames": "0",
-        "start": se3.exp(np.array([0.005, -0.005, 0, 0.02, 0, 0])) @ synthetic[0].camera_from_lidar,
-        "witness": "none",
-    }
-    of_bag = p2o.calibrate(f"ros:{path}", **settings).result
-    of_frames = p2o.calibrate([synthetic[0]], **settings).result
-    assert not np.allclose(of_bag.camera_from_lidar, settings["start"], atol=1e-5)
-    assert np.array_equal(of_bag.camera_from_lidar, of_frames.camera_from_lidar)
-    assert of_bag.status == of_frames.status
 
 
 def test_tf_is_the_start_unless_it_is_said_to_be_the_truth_or_nothing(tmp_path: Path) -> None:
