@@ -8,7 +8,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import PIL.Image
 import pytest
 import yaml
 from p2o import Box, Camera, Checkerboard, Frame, HoleBoard, InputError, Sphere, se3
@@ -533,28 +532,6 @@ def test_camera_start_and_truth_may_be_calibration_files(tmp_path: Path) -> None
     assert found.camera == camera
     np.testing.assert_allclose(found.start, pose, atol=1e-12)
     np.testing.assert_allclose(found.camera_from_lidar, pose, atol=1e-12)
-
-
-def test_16_bit_images_of_cameras_are_read_with_a_remark(tmp_path: Path) -> None:
-    write_frame(tmp_path, start=VELO_TO_CAM.tolist())
-    grey = np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH) * 4095 // (HEIGHT * WIDTH - 1)
-    cv2.imwrite(str(tmp_path / "image.png"), grey.astype(np.uint16))
-    found = dataset(tmp_path)[0]
-    assert np.array_equal(found.image.rgb[:, :, 1], grey >> 4)
-    assert "image.png: 16 bit image, divided by 16" in found.warnings
-
-
-@pytest.mark.parametrize("stored", [True, False])
-def test_an_image_with_a_rotation_tag_fits_the_camera(tmp_path: Path, stored: bool) -> None:
-    write_frame(tmp_path)
-    pixels = np.random.default_rng(0).integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8)
-    exif = PIL.Image.Exif()
-    exif[0x0112] = 6
-    PIL.Image.fromarray(pixels if stored else np.rot90(pixels)).save(tmp_path / "image.png", exif=exif)
-    found = dataset(tmp_path)[0]
-    assert np.array_equal(found.image.rgb, pixels)
-    (remark,) = (warning for warning in found.warnings if "EXIF" in warning)
-    assert ("is ignored" if stored else "rotated by its EXIF tag") in remark
 
 
 @pytest.mark.parametrize("form", ["entry", "file"])
