@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from p2o import InputError, UnknownNameError
+from p2o import InputError
 
 from .opened import opened, refused
 from .waymo_files import SEGMENT, START_US, Segment
@@ -37,13 +37,6 @@ def test_records_give_the_frames_of_the_release_v2(tmp_path: Path, lidar: str) -
         assert np.abs(one.lidar_world_from_lidar - other.lidar_world_from_lidar).max() < 1e-6
         assert np.abs(one.twist - other.twist).max() < 1e-5
         assert (one.sequence, one.time_s, one.camera_name) == (other.sequence, other.time_s, other.camera_name)
-
-
-def test_names_of_segments_are_those_of_v2(tmp_path: Path) -> None:
-    write_records(Segment(tmp_path))
-    assert len(dataset(tmp_path, segments=SEGMENT)) == 3
-    with pytest.raises(UnknownNameError, match=f"did you mean {SEGMENT}"):
-        dataset(tmp_path, segments=SEGMENT[:-1])
 
 
 def test_a_frame_whose_start_is_long_is_found(tmp_path: Path) -> None:
