@@ -189,21 +189,6 @@ def test_livox_sweeps_have_times_and_no_rings(tmp_path: Path) -> None:
     assert np.allclose(found.time_s, 1e-6 * np.arange(30))
 
 
-def test_missing_returns_are_dropped_and_counted(tmp_path: Path) -> None:
-    said = drive(1)
-    columns = points(0)
-    for axis in "xyz":
-        columns[axis][:5] = np.nan
-        columns[axis][5:8] = 0
-    said[-1] = cloud("/points", START_NS, columns)
-    frame = dataset(write_bag(tmp_path, said))[0]
-    assert len(frame.cloud) == 192
-    assert sorted(frame.warnings) == [
-        "points: 3 of 200 points dropped: all zero",
-        "points: 5 of 200 points dropped: NaN or infinite",
-    ]
-
-
 def test_each_image_and_each_sweep_is_of_one_frame(tmp_path: Path) -> None:
     said = [m for m in drive() if m.topic != "/image_raw"]
     said += [image("/image_raw", START_NS + 30_000_000 * i, pixels(i)) for i in range(9)]
