@@ -156,7 +156,10 @@ class Store:
             pq.write_table(table, content, compression="zstd", use_dictionary=True)
             with write_errors("evidence", path.parent):
                 path.parent.mkdir(parents=True, exist_ok=True)
-                write_synced(path, content.getvalue())
+                try:
+                    write_synced(path, content.getvalue())
+                except InputError as problem:
+                    raise problem.__cause__ or problem from None
                 for folder in (path.parent, path.parent.parent, self.checks_folder):
                     sync_folder(folder)
             for replaced in before.keys() - {path}:
