@@ -3,7 +3,6 @@
     python benchmarks/fleet.py real --out DIR              # 200 drives of real and simulated rigs, some with a slip
     python benchmarks/fleet.py detect                      # resampled fleets: slips, drifts, wrong types, false alarms
     python benchmarks/fleet.py store                       # queries over 1,000 vehicles and a year: seconds and memory
-    python benchmarks/fleet.py bank --store DIR --out FILE # evidence of `real` as noise of a simulation
 
 Noise is resampled from measured evidence (`p2o_fleet/noise.json`). Each command prints tables; `kills.py` kills runs.
 """
@@ -11,7 +10,6 @@ Noise is resampled from measured evidence (`p2o_fleet/noise.json`). Each command
 from __future__ import annotations
 
 import argparse
-import json
 import resource
 import tempfile
 import time
@@ -71,17 +69,6 @@ def _core_seconds() -> float:
     return sum(usage.ru_utime + usage.ru_stime for usage in usages)
 
 
-def bank(source: Path, out: Path) -> Iterator[str]:
-    """Write the usable evidence of the vehicles without a slip in the store of `real` as the noise of a simulation."""
-    own, rigs = Store.existing(source), ("kitti", "sim-hdl-64e")
-    noise = NoiseBank.of_store(own, [name for name in own.vehicles() if not name.startswith("slip-")])
-    rows = [row for row in noise.rows() if row["rig"] in rigs]
-    about = "Evidence of python benchmarks/fleet.py real at published or exact extrinsics; docs/how-to/fleet.md"
-    text = ",\n".join(json.dumps(row) for row in rows)
-    out.write_text(f'{{"about": {json.dumps(about)},\n"checks": [\n{text}\n]}}\n')
-    yield table(("rig", "checks"), [(rig, sum(row["rig"] == rig for row in rows)) for rig in rigs])
-
-
 def main() -> None:
     """Print the tables of a command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -91,16 +78,8 @@ def main() -> None:
     drives = commands.add_parser("real")
     drives.add_argument("--root", type=Path, default=Path("build/data"), help="folder of the real frames")
     drives.add_argument("--out", type=Path, required=True, help="folder of the table, the store and the report")
-    writing = commands.add_parser("bank")
-    writing.add_argument("--store", type=Path, required=True, help="store of `real`")
-    writing.add_argument("--out", type=Path, required=True)
     options = parser.parse_args()
-    tables = {
-        "real": lambda: real(options.root, options.out),
-        "detect": detect,
-        "store": store,
-        "bank": lambda: bank(options.store, options.out),
-    }[options.command]()
+    tables = {"real": lambda: real(options.root, options.out), "detect": detect, "store": store}[options.command]()
     print("\n\n".join(tables))
 
 

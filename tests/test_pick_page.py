@@ -14,13 +14,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from p2o import InputError, pose_error, se3
+from p2o import InputError, pose_error
 from p2o.arrays import Float
 from p2o.cli import main
 from p2o.problems.picked_pairs import PickedPairs, read_pairs, write_pairs
 from p2o.problems.picked_pose import PickedFrame, solve_picks
 from p2o_pages.pick.session import PickSession
 from p2o_testing import stage
+
+from tests.p2o_pages.pick.rig import places
 
 pytest.importorskip("viser", reason="the extra `view` is not installed")
 
@@ -139,15 +141,6 @@ def drag(page: Any, low: Float, high: Float) -> None:
     actions.pointer_action.move_to_location(*view.screen(high)).pointer_up()
     actions.perform()
     page.until(lambda: View(page).shows(low, high, 6 * view.half[0] / view.canvas[2]), "zoomed")
-
-
-def places(session: PickSession, count: int, seed: int = 2) -> list[tuple[Float, tuple[int, int]]]:
-    """Return pixels of the image and of the range image that show the same points, at different distances."""
-    rows, columns = np.nonzero(session.ranges.index >= 0)
-    uv = FRAME.camera.project(se3.apply(POSE, session.ranges.xyz[session.ranges.index[rows, columns]]))
-    seen = np.flatnonzero(FRAME.camera.in_image(uv, -8))
-    chosen = np.random.default_rng(seed).choice(seen, count, replace=False)
-    return [(uv[i], (int(columns[i]), int(rows[i]))) for i in chosen]
 
 
 def test_clicks_make_pairs_that_yield_the_pose(browser: Any, server: PickServer) -> None:
@@ -286,24 +279,13 @@ def test_errors_are_shown_and_the_frame_stays(tmp_path: Path) -> None:
     write_pairs(path, {"a": PickedPairs(np.full((4, 2), 5000.0), FRAME.cloud.xyz[:4])})
     with PickServer(PickSession(Broken(), ["a", "b", "c"], [0, 1, 2], path)) as server:
         assert "outside of the image" in server.status.content
+        server.session.pick_pixel(np.array([1.0, 2.0]))
         for frame, text in (("1: b", "&lt;the image&gt; is missing"), ("2: c", "unexpected ValueError: odd")):
             server.frames.value = frame
             assert text in server.status.content
             assert server.session.number == 0
+            assert server.session.picked_uv is not None
             assert server.frames.value == "0: a (4)"
-
-
-@pytest.mark.parametrize("origin", ["http://evil.example", "http://127.0.0.1:1", None])
-def test_other_pages_get_no_connection_and_nothing_is_published(server: PickServer, origin: str | None) -> None:
-    from websockets.exceptions import InvalidStatus
-    from websockets.sync.client import connect
-
-    address = server.url.replace("http", "ws")
-    assert address.startswith("ws://127.0.0.1:"), "this machine only"
-    with pytest.raises(InvalidStatus, match="403"):
-        connect(address, origin=origin, subprotocols=["viser-v1.1.1"])
-    connect(address, origin=server.url.rstrip("/"), subprotocols=["viser-v1.1.1"]).close()
-    assert server._viser.request_share_url() is None
 
 
 # ---- the command

@@ -10,13 +10,12 @@ import sys
 import tomllib
 from pathlib import Path
 
-import p2o
 import pytest
 import yaml
 from p2o.cli import main
 from p2o.host.registry import Registry
 from p2o_testing.cli.plugin_new import SLOTS
-from p2o_testing.new_plugin import SLOT_WORDS, NewPlugin
+from p2o_testing.new_plugin import NewPlugin
 
 from tests.test_architecture import Source, private_names
 
@@ -24,10 +23,10 @@ ROOT = Path(__file__).parents[1]
 
 
 def written(folder: Path, slot: str, name: str = "acme-thing") -> Path:
-    return NewPlugin(name, SLOT_WORDS[slot]).write(folder)
+    return NewPlugin(name, SLOTS[slot]).write(folder)
 
 
-@pytest.mark.parametrize("slot", SLOT_WORDS)
+@pytest.mark.parametrize("slot", SLOTS)
 def test_the_method_of_every_slot_loads_from_its_file_and_keeps_its_promises(
     slot: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -35,7 +34,7 @@ def test_the_method_of_every_slot_loads_from_its_file_and_keeps_its_promises(
     assert list(private_names(Source(Path(file), Path(file).read_text(), "acme_thing.plugin"))) == []
     registry = Registry.load(plugins=["p2o-calib"], extra_files=[file])
     [offer] = registry.named("acme-thing")
-    assert offer.kind == SLOT_WORDS[slot]
+    assert offer.kind == SLOTS[slot]
     assert offer.method.options.model_fields
     bounded = [field for field in offer.method.options.model_fields.values() if field.metadata]
     assert bounded, "no option has bounds"
@@ -63,11 +62,11 @@ def test_its_own_tests_pass_once_it_is_installed(slot: str, tmp_path: Path) -> N
     assert "skipped" not in done.stdout
 
 
-@pytest.mark.parametrize("slot", SLOT_WORDS)
+@pytest.mark.parametrize("slot", SLOTS)
 def test_every_file_is_filled_in_and_is_what_its_name_says(slot: str, tmp_path: Path) -> None:
     root = written(tmp_path, slot)
     texts = {path.relative_to(root).as_posix(): path.read_text() for path in root.rglob("*") if path.is_file()}
-    assert texts == NewPlugin("acme-thing", SLOT_WORDS[slot]).files()
+    assert texts == NewPlugin("acme-thing", SLOTS[slot]).files()
     for path, text in texts.items():
         assert "@NAME@" not in text
         assert "@MODULE@" not in text
@@ -85,7 +84,7 @@ def test_every_file_is_filled_in_and_is_what_its_name_says(slot: str, tmp_path: 
 
 
 def test_the_packages_are_formatted_and_lint_free(tmp_path: Path) -> None:
-    for slot in SLOT_WORDS:
+    for slot in SLOTS:
         written(tmp_path, slot, f"acme-{slot}")
     for words in (["check", "--ignore", "D103,ANN"], ["format", "--check"]):
         command = [sys.executable, "-m", "ruff", *words, "--config", str(ROOT / "pyproject.toml"), str(tmp_path)]
@@ -152,16 +151,11 @@ def test_it_says_what_it_wrote_and_what_to_do_next(tmp_path: Path, capsys: pytes
 
 
 @pytest.mark.system
-@pytest.mark.parametrize("slot", [slot for slot in SLOT_WORDS if slot not in ("dataset", "calibration-reader")])
+@pytest.mark.parametrize("slot", [slot for slot in SLOTS if slot not in ("dataset", "calibration-reader")])
 def test_the_first_command_takes_a_few_seconds(slot: str, tmp_path: Path) -> None:
-    plugin = NewPlugin("acme-thing", SLOT_WORDS[slot])
+    plugin = NewPlugin("acme-thing", SLOTS[slot])
     words = shlex.split(plugin.tried)[1:]
     before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
     subprocess.run([sys.executable, "-m", "p2o", *words], cwd=plugin.write(tmp_path), check=True, capture_output=True)
     # 3 to 4 s on an idle machine, where the matcher's took 45 s with a solver that asks for one pose at a time.
     assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before < 10
-
-
-def test_the_command_offers_every_slot() -> None:
-    assert set(SLOTS) == set(SLOT_WORDS)
-    assert set(SLOT_WORDS.values()) == set(p2o.Kind)

@@ -126,7 +126,9 @@ def test_other_axes_are_named_on_the_sliders_and_keep_the_pose(server: ViewServe
 def test_the_button_writes_what_start_reads(server: ViewServer) -> None:
     server.sliders["shift y"].value = 0.1
     press(server.write)
-    assert np.allclose(read_initial_guess(str(server.session.out))[0], server.session.pose, rtol=0, atol=1e-12)
+    pose, remarks = read_initial_guess(str(server.session.out))
+    assert np.allclose(pose, server.session.pose, rtol=0, atol=1e-12)
+    assert remarks == ()
     assert "start.yaml: p2o run --start" in server.status.content
 
 
@@ -170,6 +172,7 @@ def test_other_pages_get_no_connection_and_nothing_is_handed_on(server: ViewServ
     from websockets.sync.client import connect
 
     address = server.url.replace("http", "ws")
+    assert address.startswith("ws://127.0.0.1:"), "this machine only"
     with pytest.raises(InvalidStatus, match="403"):
         connect(address, origin=origin, subprotocols=["viser-v1.1.1"])
     connect(address, origin=server.url.rstrip("/"), subprotocols=["viser-v1.1.1"]).close()

@@ -1,9 +1,10 @@
 """A segment of Waymo's release v1: a .tfrecord file, in which each record is a Frame in Protocol Buffers.
 
 Frames follow waymo-research/waymo-open-dataset, src/waymo_open_dataset/dataset.proto (numbers of fields), records
-follow TensorFlow: a length, its checksum, the bytes, and their checksum. The latter is not verified, because images and
-range images have their own. Results have the names of v2. Messages are decoded field by field, without definitions, by
-their wire format (protobuf.dev/programming-guides/encoding); groups, which are obsolete, are refused.
+follow TensorFlow: a length, its checksum, the bytes, and their checksum. Checksums are not verified: lengths have to
+fit the file, and images and range images have their own. Results have the names of v2. Messages are decoded field by
+field, without definitions, by their wire format (protobuf.dev/programming-guides/encoding); groups, which are obsolete,
+are refused.
 """
 
 from __future__ import annotations
@@ -28,10 +29,6 @@ _MAX_RECORD, _MAX_RECORDS = 256 << 20, 100_000
 _HEAD = 12
 _START = 1 << 16
 _TOP = 1
-# Polynomial of CRC-32C, and the constant with which TensorFlow masks the checksum.
-_POLYNOMIAL, _MASK = 0x82F63B78, 0xA282EAD8
-
-
 _VARINT, _EIGHT, _BYTES, _FOUR = 0, 1, 2, 5
 _MAX_VARINT_BYTES = 10
 _MAX_FIELDS = 100_000
@@ -168,24 +165,10 @@ def _record_bytes(path: Path, start: int) -> bytes:
 
 
 def _length(head: bytes) -> int:
-    """Return the length in the head of a record; raises ValueError for a wrong checksum."""
+    """Return the length in the head of a record; raises ValueError if the head is incomplete."""
     if len(head) < _HEAD:
         raise ValueError("a truncated record")
-    length, checksum = struct.unpack("<QI", head)
-    crc = _crc(head[:8])
-    if checksum != ((crc >> 15 | crc << 17) + _MASK) & 0xFFFFFFFF:
-        raise ValueError("a length with a wrong checksum")
-    return int(length)
-
-
-def _crc(data: bytes) -> int:
-    """Return the CRC-32C of a few bytes."""
-    crc = 0xFFFFFFFF
-    for byte in data:
-        crc ^= byte
-        for _ in range(8):
-            crc = crc >> 1 ^ (_POLYNOMIAL if crc & 1 else 0)
-    return crc ^ 0xFFFFFFFF
+    return int(struct.unpack_from("<Q", head)[0])
 
 
 def _stamp(data: bytes) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
@@ -89,9 +89,13 @@ class FrameTree:
         Raises InputError if one of these transforms is invalid, given twice with different values, or part of a cycle,
         and if one of the frames has two parents.
         """
-        path = self._path(bare(to_frame), bare(from_frame))
-        if path is None:
+        target, here = bare(to_frame), bare(from_frame)
+        towards = self.connected([target])
+        if here not in towards:
             return None
+        path = [here]
+        while path[-1] != target:
+            path.append(towards[path[-1]])
         self._check_tree(path)
         pose: Float = np.eye(4)
         remarks: tuple[str, ...] = ()
@@ -134,38 +138,17 @@ class FrameTree:
         here = bare(frame)
         return next((name for name in (here, *self.above(here)) if name in self.moving), None)
 
-    def connected(self, frame: str, other: str) -> bool:
-        """Return whether static transforms connect two frames."""
-        return frame == other or self._component.get(frame, frame) == self._component.get(other, other)
-
-    @cached_property
-    def _component(self) -> dict[str, str]:
-        """One frame of the connected frames of each frame."""
-        component: dict[str, str] = {}
-        for name in self.names:
-            queue = deque([] if name in component else [name])
-            while queue:
-                here = queue.popleft()
-                component[here] = name
-                queue += [other for other in self._neighbours[here] if other not in component]
-        return component
-
-    def _path(self, target: str, source: str) -> list[str] | None:
-        """Return the frames of the shortest path from `source` to `target`, or None."""
-        came_from = {source: source}
-        queue = deque([source])
-        while queue and target not in came_from:
+    def connected(self, frames: Iterable[str]) -> dict[str, str]:
+        """Return the frames that static transforms connect with these, each with the next frame towards them."""
+        towards = {frame: frame for frame in frames}
+        queue = deque(towards)
+        while queue:
             here = queue.popleft()
             for other in self._neighbours.get(here, ()):
-                if other not in came_from:
-                    came_from[other] = here
+                if other not in towards:
+                    towards[other] = here
                     queue.append(other)
-        if target not in came_from:
-            return None
-        path = [target]
-        while path[-1] != source:
-            path.append(came_from[path[-1]])
-        return path[::-1]
+        return towards
 
     def _check_tree(self, path: Sequence[str]) -> None:
         """Raise InputError if the transforms between the frames of a path are not unique."""
@@ -228,11 +211,9 @@ def sensor_frames(tree: FrameTree, lidar: str | None, camera: str | None, where:
     lidars = [bare(lidar)] if lidar else [name for name in tree.names if is_lidar(name) and name != camera]
     cameras = [bare(camera)] if camera else [name for name in tree.names if is_camera(name) and name != lidar]
     tree.check_acyclic((*lidars, *cameras))
-    joined = [
-        [a for a in these if any(tree.connected(a, b) for b in those[:_MAX_CANDIDATES])]
-        for these, those in ((lidars, cameras), (cameras, lidars))
-    ]
-    lidars, cameras = (some or own for some, own in zip(joined, (lidars, cameras), strict=True))
+    with_camera, with_lidar = tree.connected(cameras), tree.connected(lidars)
+    lidars = [name for name in lidars if name in with_camera] or lidars
+    cameras = [name for name in cameras if name in with_lidar] or cameras
     if camera is None:
         cameras = _distinct(tree, cameras, _is_camera_body)
     if lidar is None:

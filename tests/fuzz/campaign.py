@@ -7,6 +7,7 @@ import re
 import shutil
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
@@ -104,13 +105,11 @@ def campaign(bases: Bases, root: Path, *, cases: int, seed: int, jobs: int, door
     if jobs == 1:
         yield from (one(bases, root / f"case-{number}", seed, number, doors) for number in numbers)
         return
-    # Forks of this process, which has everything loaded.
+    # Forks of this process, which has everything loaded; their cases may have processes of their own.
     fork: Any = multiprocessing.get_context("fork")
-    pool = fork.Pool(jobs)
     tasks = ((bases, root / f"case-{number}", seed, number, doors) for number in numbers)
-    yield from pool.imap_unordered(_one, tasks, chunksize=8)
-    pool.close()
-    pool.join()
+    with ProcessPoolExecutor(jobs, fork) as pool:
+        yield from pool.map(_one, tasks, chunksize=8)
 
 
 def _one(task: Any) -> Verdict:

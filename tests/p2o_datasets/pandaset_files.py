@@ -1,13 +1,15 @@
-"""A small sequence of PandaSet's true format; its pickles are put together byte by byte as pandas 1.0 writes them."""
+"""A small sequence of PandaSet's true format; its pickles are like those of pandas 1.0, without pandas."""
 
 from __future__ import annotations
 
 import gzip
+import io
 import json
-import struct
+import pickle
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -28,61 +30,54 @@ LATER_S = {"front_camera": 0.045, "left_camera": 0.02}
 POINTS = 600
 
 
-# ---- pickles, step by step
+# ---- pickles
 
 
-def text(said: str) -> bytes:
-    return b"X" + struct.pack("<I", len(said.encode())) + said.encode()
+class Name(str):
+    """A name with its module, pickled as what it names."""
 
 
-def whole(number: int) -> bytes:
-    return b"\x8a\x08" + number.to_bytes(8, "little", signed=True)
+@dataclass
+class Called:
+    """What a call returns, and the state that it is given."""
+
+    name: str
+    args: tuple[Any, ...] = ()
+    state: Any = None
 
 
-def tuple_of(*parts: bytes) -> bytes:
-    return b"(" + b"".join(parts) + b"t"
+class _Pickler(pickle._Pickler):
+    """Pickles what is named without having it."""
+
+    dispatch: ClassVar[dict[type, Any]] = {**pickle._Pickler.dispatch}
+
+    def save_name(self, name: str) -> None:
+        module, _, what = name.rpartition(".")
+        self.write(f"c{module}\n{what}\n".encode())
+
+    def save_called(self, one: Called) -> None:
+        self.save_name(one.name)
+        self.save(one.args)
+        self.write(pickle.REDUCE)
+        if one.state is not None:
+            self.save(one.state)
+            self.write(pickle.BUILD)
+
+    dispatch |= {Name: save_name, Called: save_called}
 
 
-def list_of(*parts: bytes) -> bytes:
-    return b"](" + b"".join(parts) + b"e"
-
-
-def dict_of(pairs: Mapping[str, bytes]) -> bytes:
-    return b"}(" + b"".join(text(key) + value for key, value in pairs.items()) + b"u"
-
-
-def name(module: str, what: str) -> bytes:
-    return f"c{module}\n{what}\n".encode()
-
-
-def called(what: bytes, *args: bytes) -> bytes:
-    return what + tuple_of(*args) + b"R"
-
-
-def type_of(kind: str, order: str = "<") -> bytes:
-    start = called(name("numpy", "dtype"), text(kind), b"\x89", b"\x88")
-    flags = whole(63 if kind.startswith("O") else 0)
-    return start + tuple_of(whole(3), text(order), b"N", b"N", b"N", whole(-1), whole(-1), flags) + b"b"
-
-
-def array(shape: Sequence[Any], kind: bytes, raw: bytes, fortran: bool = False) -> bytes:
-    start = called(
-        name("numpy.core.multiarray", "_reconstruct"), name("numpy", "ndarray"), tuple_of(whole(0)), b"C\x01b"
-    )
-    sizes = tuple_of(*(whole(size) if isinstance(size, int) else text(size) for size in shape))
-    return start + tuple_of(whole(1), sizes, kind, b"\x88" if fortran else b"\x89", raw) + b"b"
-
-
-def index(labels: Sequence[str]) -> bytes:
-    data = array((len(labels),), type_of("O8", "|"), list_of(*(text(label) for label in labels)))
-    kind = name("pandas.core.indexes.base", "Index")
-    return called(name("pandas.core.indexes.base", "_new_Index"), kind, dict_of({"data": data, "name": b"N"}))
+def array(shape: Sequence[Any], kind: str, raw: Any, fortran: bool = False) -> Called:
+    plain = not kind.startswith("O")
+    dtype_state = (3, "<" if plain else "|", None, None, None, -1, -1, 0 if plain else 63)
+    dtype = Called("numpy.dtype", (kind, False, True), dtype_state)
+    start = (Name("numpy.ndarray"), (0,), b"b")
+    return Called("numpy.core.multiarray._reconstruct", start, (1, tuple(shape), dtype, fortran, raw))
 
 
 def pickled(
     columns: Mapping[str, Any],
     *,
-    order: str = "C",
+    order: Literal["C", "F"] = "C",
     shape: Sequence[Any] | None = None,
     dtype: str | None = None,
     places: tuple[int, int, int] | None = None,
@@ -90,31 +85,26 @@ def pickled(
 ) -> bytes:
     """Return a table as pandas 1.0 pickles it, a block a column; what is given besides is written wrong."""
     blocks = []
-    count = len(next(iter(columns.values())))
+    count, names = len(next(iter(columns.values()))), list(labels or columns)
     for number, values in enumerate(columns.values()):
-        rows = values[None]
-        raw = rows.tobytes(order="F" if order == "F" else "C")
-        said = array(
-            shape or (1, count),
-            type_of(dtype or values.dtype.str[1:]),
-            b"B" + struct.pack("<I", len(raw)) + raw,
-            order == "F",
-        )
-        where = places or (number, number + 1, 1)
-        locations = called(name("builtins", "slice"), *(whole(bound) for bound in where))
-        blocks.append(dict_of({"values": said, "mgr_locs": locations}))
-    rows_index = called(
-        name("pandas.core.indexes.base", "_new_Index"),
-        name("pandas.core.indexes.range", "RangeIndex"),
-        dict_of({"name": b"N", "start": whole(0), "stop": whole(count), "step": whole(1)}),
-    )
-    axes = list_of(index(list(labels or columns)), rows_index)
-    inner = dict_of({"axes": axes, "blocks": list_of(*blocks)})
-    state = tuple_of(axes, list_of(), list_of(), dict_of({"0.14.1": inner}))
-    manager = name("pandas.core.internals.managers", "BlockManager") + b")\x81" + state + b"b"
-    frame = name("pandas.core.frame", "DataFrame") + b")\x81"
-    said = dict_of({"_data": manager, "_typ": text("dataframe"), "_metadata": list_of(), "attrs": b"}"})
-    return b"\x80\x04" + frame + said + b"b."
+        raw = values[None].tobytes(order=order)
+        rows = array(shape or (1, count), dtype or values.dtype.str[1:], raw, order == "F")
+        where = Called("builtins.slice", places or (number, number + 1, 1))
+        blocks.append({"values": rows, "mgr_locs": where})
+
+    def index(kind: str, state: dict[str, Any]) -> Called:
+        return Called("pandas.core.indexes.base._new_Index", (Name(f"pandas.core.indexes.{kind}"), state))
+
+    axes = [
+        index("base.Index", {"data": array((len(names),), "O8", names), "name": None}),
+        index("range.RangeIndex", {"name": None, "start": 0, "stop": count, "step": 1}),
+    ]
+    state: Any = (axes, [], [], {"0.14.1": {"axes": axes, "blocks": blocks}})
+    manager = Called("pandas.core.internals.managers.BlockManager", state=state)
+    content = {"_data": manager, "_typ": "dataframe", "_metadata": [], "attrs": {}}
+    out = io.BytesIO()
+    _Pickler(out, 4).dump(Called("pandas.core.frame.DataFrame", state=content))
+    return out.getvalue()
 
 
 # ---- a sequence

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 from p2o import InputError, UnknownNameError
-from p2o_datasets.argoverse2 import CAMERAS
 
 from .argoverse2_files import BEAMS_DEG, EGO_FROM, FOCAL, LOG, START_NS, Log, measured, save, seconds
 from .drive import SPEED_M_S, TURN_RAD_S, car, check_projection, pixels, through
@@ -99,14 +98,6 @@ def test_one_log_or_a_folder_of_them_is_read(tmp_path: Path) -> None:
         dataset(tmp_path)
 
 
-def test_all_cameras_are_chosen_and_one_without_images_has_no_frames(tmp_path: Path) -> None:
-    root = Log(tmp_path).write()
-    with refused("no Argoverse 2 frames"):
-        dataset(root, cameras="stereo_front_left")
-    assert len(dataset(root, cameras="all")) == 6
-    assert len(CAMERAS) == 9
-
-
 def test_rings_that_do_not_tell_the_lidar_leave_a_remark(tmp_path: Path) -> None:
     log = Log(tmp_path)
     for name in ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m"):
@@ -150,22 +141,3 @@ def test_wrong_tables_are_one_line_that_names_the_file(tmp_path: Path, table: st
     save(log.folder / table, {name: value for name, value in {**content, **change}.items() if value is not None})
     with refused(words, log.folder.name):
         dataset(root, lidar="up_lidar")[0]
-
-
-@pytest.mark.parametrize("left", [0, 1, 100, -200])
-@pytest.mark.parametrize("table", ["city_SE3_egovehicle.feather", f"sensors/lidar/{START_NS}.feather"])
-def test_tables_that_are_cut_off_are_refused(tmp_path: Path, table: str, left: int) -> None:
-    log = Log(tmp_path)
-    root = log.write()
-    path = log.folder / table
-    path.write_bytes(path.read_bytes()[:left])
-    with pytest.raises(InputError, match=r"is not a table of Arrow, or is damaged|is empty"):
-        dataset(root)[0]
-
-
-def test_a_missing_table_is_named(tmp_path: Path) -> None:
-    log = Log(tmp_path)
-    root = log.write()
-    (log.folder / "calibration/intrinsics.feather").unlink()
-    with refused("the table of intrinsics is missing"):
-        dataset(root)[0]

@@ -38,14 +38,6 @@ def test_a_bin_file_gives_points_and_intensity_in_its_order_without_what_are_no_
     )
 
 
-def test_text_gives_the_same_points_as_bin(tmp_path: Path) -> None:
-    written = points()
-    np.savetxt(tmp_path / "a.txt", written, fmt="%.9g")
-    cloud, _ = read_cloud(tmp_path / "a.txt")
-    assert np.array_equal(cloud.xyz.astype("<f4"), written[:, :3])
-    assert np.array_equal(cloud.intensity.astype("<f4"), written[:, 3])
-
-
 def test_an_npz_archive_gives_all_its_fields(tmp_path: Path) -> None:
     fields = {"ring": np.arange(50) % 16, "time_s": np.linspace(-0.05, 0.05, 50), "intensity": np.arange(50) / 50}
     np.savez_compressed(tmp_path / "a.npz", xyz=points()[:, :3], **fields)

@@ -8,10 +8,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-import PIL.Image
 import pytest
 import yaml
-from p2o import Box, Camera, Checkerboard, Frame, HoleBoard, InputError, Sphere, UnknownNameError, se3
+from p2o import Box, Camera, Checkerboard, Frame, HoleBoard, InputError, Sphere, se3
 from p2o.calibration_files.calibration import Calibration
 from p2o.geometry.pose_text import read_extrinsic
 from p2o_datasets.folder import read_frame_file
@@ -221,12 +220,6 @@ def test_links_that_leave_the_folder_are_refused_and_links_inside_are_not(tmp_pa
     (folder / name).symlink_to(tmp_path / "outside")
     with refused(rf"the path '{name}' leaves the folder of the data set"):
         dataset(tmp_path / "data")[0]
-
-
-def test_frames_may_share_a_file_of_their_dataset(tmp_path: Path) -> None:
-    write_frame(tmp_path / "a", cloud="../shared.bin")
-    write_sweep(tmp_path / "shared.bin")
-    assert len(dataset(tmp_path)[0].cloud) == len(sweep())
 
 
 @pytest.mark.parametrize(
@@ -441,11 +434,6 @@ def test_a_target_that_is_none_is_refused_by_its_key(tmp_path: Path, target: Any
         frame(tmp_path, targets=[target])
 
 
-def test_an_unknown_kind_of_target_is_an_unknown_name(tmp_path: Path) -> None:
-    with pytest.raises(UnknownNameError, match="one of: box, checkerboard, holes, sphere; did you mean holes"):
-        frame(tmp_path, targets=[{**HOLES, "kind": "hole"}])
-
-
 @pytest.mark.parametrize(
     ("frames", "expected"),
     [
@@ -502,15 +490,6 @@ def test_folders_that_cannot_be_read_are_left_out_and_named(tmp_path: Path, monk
         dataset(tmp_path / "b")
 
 
-@pytest.mark.parametrize("name", ["image.png", "cloud.bin", "frame.yaml"])
-def test_a_folder_where_a_file_should_be_is_named(tmp_path: Path, name: str) -> None:
-    write_frame(tmp_path)
-    (tmp_path / name).unlink()
-    (tmp_path / name).mkdir()
-    with refused(rf"{name}: the .* is a folder"):
-        dataset(tmp_path)[0]
-
-
 @pytest.mark.parametrize("name", [b"new\nline", b"\x1b[31mred", b"latin-\xe9", "\u202e\u00b2".encode()])
 def test_folders_may_be_called_anything(tmp_path: Path, name: bytes) -> None:
     folder = tmp_path / os.fsdecode(name)
@@ -521,12 +500,6 @@ def test_folders_may_be_called_anything(tmp_path: Path, name: bytes) -> None:
     (folder / "cloud.bin").unlink()
     with pytest.raises(InputError):
         found[0]
-
-
-@pytest.mark.parametrize("root", ["~nosuch", "a\0b", "x" * 300])
-def test_a_root_that_no_folder_can_be_is_refused_in_one_line(root: str) -> None:
-    with refused(r"\S"):
-        dataset(Path(root))
 
 
 def test_the_poses_that_the_documentation_shows_look_ahead_along_the_lidars_x() -> None:
@@ -559,28 +532,6 @@ def test_camera_start_and_truth_may_be_calibration_files(tmp_path: Path) -> None
     assert found.camera == camera
     np.testing.assert_allclose(found.start, pose, atol=1e-12)
     np.testing.assert_allclose(found.camera_from_lidar, pose, atol=1e-12)
-
-
-def test_16_bit_images_of_cameras_are_read_with_a_remark(tmp_path: Path) -> None:
-    write_frame(tmp_path, start=VELO_TO_CAM.tolist())
-    grey = np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH) * 4095 // (HEIGHT * WIDTH - 1)
-    cv2.imwrite(str(tmp_path / "image.png"), grey.astype(np.uint16))
-    found = dataset(tmp_path)[0]
-    assert np.array_equal(found.image.rgb[:, :, 1], grey >> 4)
-    assert "image.png: 16 bit image, divided by 16" in found.warnings
-
-
-@pytest.mark.parametrize("stored", [True, False])
-def test_an_image_with_a_rotation_tag_fits_the_camera(tmp_path: Path, stored: bool) -> None:
-    write_frame(tmp_path)
-    pixels = np.random.default_rng(0).integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8)
-    exif = PIL.Image.Exif()
-    exif[0x0112] = 6
-    PIL.Image.fromarray(pixels if stored else np.rot90(pixels)).save(tmp_path / "image.png", exif=exif)
-    found = dataset(tmp_path)[0]
-    assert np.array_equal(found.image.rgb, pixels)
-    (remark,) = (warning for warning in found.warnings if "EXIF" in warning)
-    assert ("is ignored" if stored else "rotated by its EXIF tag") in remark
 
 
 @pytest.mark.parametrize("form", ["entry", "file"])

@@ -127,15 +127,6 @@ def test_the_delay_of_the_image_moves_times_and_pose(tmp_path: Path) -> None:
     assert np.abs(frame.cloud.time_s - (-measured()[1] / (2 * np.pi) * TURN_S - 0.01)).max() < 1e-6
 
 
-def test_frames_without_a_sweep_are_left_out(tmp_path: Path) -> None:
-    root = Drive(tmp_path).write()
-    (tmp_path / f"data_3d_raw/{DRIVE}/velodyne_points/data/0000000004.bin").unlink()
-    found = dataset(root, sequences=DRIVE)
-    assert len(found) == 2
-    with refused(r"is left out.*0000000004.bin is missing"):
-        found.frame(f"{DRIVE}/image_00/0000000004")
-
-
 @pytest.mark.parametrize(
     ("file", "old", "new", "words"),
     [

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from p2o import InputError
-from p2o_datasets.cloud_file import SUFFIXES, read_cloud
+from p2o_datasets.cloud_file import read_cloud
 
 from tests.p2o_datasets.opened import refused
 
@@ -57,10 +57,6 @@ def test_a_file_without_rings_and_times_has_none(tmp_path: Path) -> None:
     assert (cloud.ring, cloud.time_s, warnings) == (None, None, ())
 
 
-def test_a_folder_takes_them_for_sweeps() -> None:
-    assert {".las", ".laz"} <= set(SUFFIXES)
-
-
 def _changed(data: bytes, at: int, form: str, value: int) -> bytes:
     changed = bytearray(data)
     struct.pack_into(form, changed, at, value)
@@ -88,11 +84,18 @@ def test_a_damaged_file_is_refused_in_one_line(tmp_path: Path, data: bytes, mess
         read_cloud(path)
 
 
-def test_a_file_on_which_the_unpacker_dies_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("damage", ["points", "number of chunks", "position of chunks"])
+def test_a_file_on_which_the_unpacker_dies_is_refused(tmp_path: Path, damage: str) -> None:
     """Bytes that send lazrs out of its memory: it runs in a process of its own."""
     data = bytearray(_las(packed=True))
     [start] = struct.unpack_from("<I", data, 96)
-    data[start + 300 :] = b"\xff" * (len(data) - start - 300 - 64) + data[-64:]
+    [table] = struct.unpack_from("<q", data, start)
+    if damage == "points":
+        data[start + 300 :] = b"\xff" * (len(data) - start - 300 - 64) + data[-64:]
+    elif damage == "number of chunks":
+        struct.pack_into("<I", data, table + 4, (1 << 32) - 1)
+    else:
+        struct.pack_into("<q", data, start, 1 << 40)
     path = tmp_path / "cloud.laz"
     path.write_bytes(bytes(data))
     with pytest.raises(InputError, match=r"cannot be read as LAS|damaged"):

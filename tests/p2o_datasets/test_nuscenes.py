@@ -63,16 +63,6 @@ def test_scenes_cameras_and_what_lies_between_are_chosen(tmp_path: Path) -> None
     assert np.array_equal(dataset(root, between=True, moved=False)[1].cloud.xyz, points_of(START_US + 97_000))
 
 
-def test_frames_whose_files_are_missing_are_left_out(tmp_path: Path) -> None:
-    tree = Tree(tmp_path)
-    root = tree.write()
-    gone = root / tree.tables["sample_data"][0]["filename"]
-    gone.unlink()
-    found = dataset(root)
-    assert len(found) == 3
-    assert found.skipped == {f"scene-0061/CAM_FRONT/{START_US + 12_000}": f"{gone} is missing"}
-
-
 def test_one_of_several_versions_is_chosen(tmp_path: Path) -> None:
     root = Tree(tmp_path).write()
     Tree(tmp_path).write("v1.0-test")
@@ -158,9 +148,3 @@ def test_a_sparse_table_of_gigabytes_is_refused_without_reading_it(tmp_path: Pat
             file.truncate(size)
         with pytest.raises(InputError, match=r"not a list of records|too large"):
             next(records(tmp_path, "sensor"))
-
-
-def test_a_table_that_is_missing_is_named(tmp_path: Path) -> None:
-    (tmp_path / "v1.0-mini").mkdir()
-    with refused("a table is missing; expected scene.json"):
-        dataset(tmp_path)

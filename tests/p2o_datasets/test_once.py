@@ -63,20 +63,6 @@ def test_poses_are_relative_to_the_first_frame_and_may_be_missing(tmp_path: Path
     assert np.allclose(found[2].lidar_world_from_lidar, expected)
 
 
-def test_frames_whose_files_are_missing_are_left_out(tmp_path: Path) -> None:
-    root = Sequence(tmp_path).write()
-    gone = tmp_path / "data" / SEQUENCE / "lidar_roof" / f"{START_MS}.bin"
-    gone.unlink()
-    found = dataset(root)
-    assert len(found) == 2
-    assert found.skipped == {f"{SEQUENCE}/cam01/{START_MS}": f"{gone} is missing"}
-
-
-def test_a_camera_without_images_has_no_frames(tmp_path: Path) -> None:
-    with refused(r"no ONCE frames.*cam03.*is missing"):
-        dataset(Sequence(tmp_path).write(), cameras="cam03")
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -99,16 +85,6 @@ def test_files_that_are_wrong_are_one_line(tmp_path: Path, change: Any, words: s
     change(sequence.content)
     with refused(words, SEQUENCE):
         dataset(sequence.write())[0]
-
-
-@pytest.mark.parametrize(
-    ("text", "words"), [("", "is empty"), ("{", "is not JSON"), ("[" * 9999, "is not JSON|deeply")]
-)
-def test_a_file_that_is_no_json_is_one_line(tmp_path: Path, text: str, words: str) -> None:
-    root = Sequence(tmp_path).write()
-    (root / "data" / SEQUENCE / f"{SEQUENCE}.json").write_text(text)
-    with pytest.raises(InputError, match=words):
-        dataset(root)
 
 
 def test_links_that_leave_the_folder_and_sweeps_that_are_cut_off_are_refused(tmp_path: Path) -> None:

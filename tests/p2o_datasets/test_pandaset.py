@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import json
 import pickle
 from functools import partial
 from pathlib import Path
@@ -12,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 from p2o import InputError
-from p2o_datasets.pandaset import CAMERAS
 
 from .drive import SPEED_M_S, car, check_projection, pixels, through
 from .opened import opened, refused
@@ -90,19 +88,6 @@ def test_poses_that_are_not_fixed_to_each_other_are_told(tmp_path: Path) -> None
     assert "the relative pose of camera and LiDAR varies" in dataset(drive.write())[0].warnings[0]
 
 
-def test_cameras_and_sequences_are_chosen_and_frames_without_a_sweep_are_left_out(tmp_path: Path) -> None:
-    root = Drive(tmp_path).write()
-    with refused("no PandaSet frames"):
-        dataset(root, cameras="back_camera")
-    assert len(dataset(root, cameras="all", sequences="001")) == 8
-    assert len(CAMERAS) == 6
-    (tmp_path / SEQUENCE / "lidar/01.pkl.gz").unlink()
-    found = dataset(root)
-    assert len(found) == 3
-    with refused(r"is left out.*lidar/01.pkl.gz is missing"):
-        found.frame(f"{SEQUENCE}/front_camera/01")
-
-
 @pytest.mark.parametrize(
     ("file", "content", "words"),
     [
@@ -122,21 +107,6 @@ def test_files_that_are_wrong_are_one_line(tmp_path: Path, file: str, content: A
     drive.files[file] = content
     with refused(words, SEQUENCE):
         dataset(drive.write())[0]
-
-
-def test_files_that_are_missing_or_no_json_are_one_line(tmp_path: Path) -> None:
-    root = Drive(tmp_path).write()
-    for file in ("lidar/poses.json", "camera/front_camera/timestamps.json", "camera/front_camera/intrinsics.json"):
-        path = tmp_path / SEQUENCE / file
-        text = path.read_text()
-        path.write_text("[")
-        with pytest.raises(InputError, match="is not JSON"):
-            dataset(root)[0]
-        path.unlink()
-        with pytest.raises(InputError, match="is missing"):
-            dataset(root)[0]
-        path.write_text(text)
-    assert json.loads(text) == LENS
 
 
 def test_sweeps_of_another_content_are_one_line_and_run_nothing(tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import io
 import os
 import pickle
 import random
@@ -190,27 +189,3 @@ def test_damage_anywhere_is_one_line_or_another_table_and_takes_little_memory(tm
         tracemalloc.stop()
     assert said
     assert not any("\n" in text for text in said)
-
-
-def test_the_tables_that_these_tests_write_are_pickles_to_python_too() -> None:
-    class Stand:
-        """Takes whatever pandas would."""
-
-        def __new__(cls, *args: Any) -> Any:
-            made = object.__new__(cls)
-            made.args = args
-            return made
-
-        def __setstate__(self, state: Any) -> None:
-            self.state = state
-
-    class Standing(pickle.Unpickler):
-        def find_class(self, module: str, name: str) -> Any:
-            return Stand if module.startswith("pandas") else super().find_class(module, name)
-
-    columns = {"x": np.array([1.5, 2.5]), "d": np.array([3, 4])}
-    frame = Standing(io.BytesIO(pickled(columns))).load()
-    inner = frame.state["_data"].state[3]["0.14.1"]
-    assert inner["axes"][0].args[1]["data"].tolist() == ["x", "d"]
-    assert [block["values"].tolist() for block in inner["blocks"]] == [[[1.5, 2.5]], [[3, 4]]]
-    assert [block["mgr_locs"] for block in inner["blocks"]] == [slice(0, 1, 1), slice(1, 2, 1)]

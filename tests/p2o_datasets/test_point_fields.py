@@ -208,18 +208,6 @@ def test_the_unit_of_times_is_told_by_how_long_a_sweep_takes(times: Any, accurac
     assert np.abs(found - (TURN_S - 0.04)).max() < accuracy_s
 
 
-@pytest.mark.parametrize("times", [TURN_S * 20, TURN_S * 1e-4, TURN_S * 1e12])
-def test_a_unit_that_cannot_be_told_is_asked_for(times: Any) -> None:
-    with pytest.raises(InputError, match=r"unit of the points' times is ambiguous.*--set data.point_times=ns"):
-        after(times)
-
-
-def test_a_unit_that_is_given_is_taken_and_none_leaves_times_out() -> None:
-    found, _ = after(TURN_S * 20, unit="s")
-    assert found.max() == pytest.approx(20 * 0.0998)
-    assert after(TURN_S * 20, unit="none") == (None, None)
-
-
 def test_times_of_missing_returns_do_not_count() -> None:
     times = (TURN_S * 1e9).round().astype(np.uint32) + 5_000_000
     times[::7] = 0

@@ -26,7 +26,11 @@ PAGE = Path(__file__).parents[2] / "docs/datasets.md"
 
 @dataclass(frozen=True)
 class Rig:
-    """Files of a data set: two cameras in them, a shift of the first camera, and wrong options with their nearest."""
+    """Files of a data set: two cameras in them, a shift of the first camera, and wrong options with their nearest.
+
+    `absent` is a camera without images, `one` a file that one frame needs. `needed` are files that all frames need,
+    with the error of one that is cut off.
+    """
 
     files: Callable[[Path], Any]
     cameras: tuple[str, str]
@@ -35,6 +39,9 @@ class Rig:
     title: str
     nothing: str
     wrong: dict[str, tuple[str, str]]
+    absent: str
+    needed: dict[str, str]
+    one: str = ""
     write: Callable[[Any], Any] = lambda files: files.write()
     data_set: str = ""
 
@@ -57,6 +64,7 @@ def shifted(values: Any, at: Any, by: float = 1.0) -> None:
     values[at] += by
 
 
+ARROW = "is not a table of Arrow, or is damaged"
 RIGS = {
     "argoverse2": Rig(
         argoverse2_files.Log,
@@ -66,6 +74,8 @@ RIGS = {
         "Argoverse 2",
         "there are no logs of Argoverse 2",
         {"cameras": ("ring_front_centre", "ring_front_center"), "logs": ("0267", "")},
+        "stereo_front_left",
+        dict.fromkeys(("city_SE3_*", "calibration/intrinsics.feather"), ARROW),
     ),
     "kitti-360": Rig(
         kitti_360_files.Drive,
@@ -78,6 +88,9 @@ RIGS = {
             "cameras": ("image_04", "image_0"),
             "sequences": ("2013_05_28_drive_0002_sync", kitti_360_files.DRIVE),
         },
+        "",
+        {"calib_cam_to_velo.txt": "the file is truncated|Tr does not contain 12 finite numbers"},
+        "0000000004.bin",
     ),
     "nuscenes": Rig(
         nuscenes_files.Tree,
@@ -91,6 +104,9 @@ RIGS = {
             "scenes": ("scene-0062", "scene-0061"),
             "version": ("v1.0-min", r"v1\.0-mini"),
         },
+        "CAM_FRONT_LEFT",
+        {"scene.json": "not a list of records|is not JSON"},
+        "samples/CAM_FRONT/*",
     ),
     "once": Rig(
         once_files.Sequence,
@@ -100,6 +116,9 @@ RIGS = {
         "ONCE",
         "there are no sequences of ONCE",
         {"cameras": ("cam02", "cam0"), "sequences": ("000028", "000027")},
+        "cam03",
+        {"000027.json": "is not JSON"},
+        "lidar_roof/*",
     ),
     "pandaset": Rig(
         pandaset_files.Drive,
@@ -109,6 +128,9 @@ RIGS = {
         "PandaSet",
         "there are no sequences of PandaSet",
         {"cameras": ("front", "front_camera"), "sequences": ("002", "001")},
+        "back_camera",
+        dict.fromkeys(("lidar/poses.json", "front_camera/timestamps.json", "front_camera/intrinsics.json"), "not JSON"),
+        "lidar/01.pkl.gz",
     ),
     "waymo": Rig(
         waymo_files.Segment,
@@ -120,10 +142,18 @@ RIGS = {
         "Waymo",
         "there are no segments of Waymo",
         {"cameras": ("FRONT_LFT", "FRONT_LEFT"), "segments": (waymo_files.SEGMENT[:-1], waymo_files.SEGMENT)},
+        "FRONT_LEFT",
+        {"lidar_pose/*.parquet": ARROW},
     ),
 }
 RIGS["waymo-v1"] = Rig(
-    **{**vars(RIGS["waymo"]), "data_set": "waymo", "write": lambda segment: write_records(segment).parent}
+    **{
+        **vars(RIGS["waymo"]),
+        "absent": "",
+        "needed": {},
+        "data_set": "waymo",
+        "write": lambda one: write_records(one).parent,
+    }
 )
 ON_PAGE = ("argoverse2", "kitti-360", "once", "pandaset", "waymo")
 every_rig = pytest.mark.parametrize("name", RIGS)
@@ -218,6 +248,43 @@ def test_options_that_name_nothing_are_told_the_nearest(tmp_path: Path, name: st
     for option, (value, nearest) in RIGS[name].wrong.items():
         with pytest.raises(UnknownNameError, match=f"did you mean {nearest}" if nearest else "unknown"):
             opened(data_set, root, **{option: value})
+
+
+@pytest.mark.parametrize("name", [name for name, rig in RIGS.items() if rig.absent])
+def test_all_cameras_are_chosen_and_one_without_images_has_no_frames(tmp_path: Path, name: str) -> None:
+    data_set, root = written(name, tmp_path)
+    assert len(opened(data_set, root, cameras="all")) == RIGS[name].frames
+    with refused(f"no {RIGS[name].title} frames"):
+        opened(data_set, root, cameras=RIGS[name].absent)
+
+
+@pytest.mark.parametrize("name", [name for name, rig in RIGS.items() if rig.one])
+def test_a_frame_without_one_of_its_files_is_left_out_and_named(tmp_path: Path, name: str) -> None:
+    _, root = written(name, tmp_path)
+    camera = RIGS[name].cameras[0]
+    whole = opened(name, root, cameras=camera).names
+    gone = min(root.rglob(RIGS[name].one))
+    gone.unlink()
+    found = opened(name, root, cameras=camera)
+    [(left_out, why)] = found.skipped.items()
+    assert set(whole) - set(found.names) == {left_out}
+    assert why == f"{gone} is missing"
+    with refused(rf"is left out.*{gone.name} is missing"):
+        found.frame(left_out)
+
+
+@pytest.mark.parametrize(("name", "file"), [(name, file) for name, rig in RIGS.items() for file in rig.needed])
+def test_files_that_are_missing_empty_or_cut_off_are_one_line(tmp_path: Path, name: str, file: str) -> None:
+    _, root = written(name, tmp_path)
+    path = min(root.rglob(file))
+    whole = path.read_bytes()
+    for left in (0, 1, 30, len(whole) // 2, len(whole) - 10):
+        path.write_bytes(whole[:left])
+        with refused(rf"{RIGS[name].needed[file]}|is empty"):
+            opened(name, root)[0]
+    path.unlink()
+    with refused(f"is missing|there are no .*{path.name}"):
+        opened(name, root)[0]
 
 
 @every_rig

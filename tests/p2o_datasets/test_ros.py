@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import p2o
 import PIL.Image
 import pytest
 from p2o import Camera, Cloud, Dataset, Frame, Registry, UnknownNameError, se3
@@ -106,24 +105,6 @@ def test_frames_come_out_of_a_bag_as_they_went_in(tmp_path: Path, form: str, syn
         assert (frame.sequence, frame.time_s) == ("drive", pytest.approx(0.1 * number))
 
 
-def test_a_run_on_a_bag_ends_where_a_run_on_its_frames_does(tmp_path: Path, synthetic: Sequence[Frame]) -> None:
-    path = write_bag(tmp_path, messages_of(synthetic, START_NS))
-    settings: dict[str, Any] = {
-        "extractor": "canny/rings",
-        "matcher": "nearest",
-        "init": "given",
-        "options": ["pipeline.rounds=3"],
-        "frames": "0",
-        "start": se3.exp(np.array([0.005, -0.005, 0, 0.02, 0, 0])) @ synthetic[0].camera_from_lidar,
-        "witness": "none",
-    }
-    of_bag = p2o.calibrate(f"ros:{path}", **settings).result
-    of_frames = p2o.calibrate([synthetic[0]], **settings).result
-    assert not np.allclose(of_bag.camera_from_lidar, settings["start"], atol=1e-5)
-    assert np.array_equal(of_bag.camera_from_lidar, of_frames.camera_from_lidar)
-    assert of_bag.status == of_frames.status
-
-
 def test_tf_is_the_start_unless_it_is_said_to_be_the_truth_or_nothing(tmp_path: Path) -> None:
     path = write_bag(tmp_path, drive())
     frame = dataset(path)[0]
@@ -206,21 +187,6 @@ def test_livox_sweeps_have_times_and_no_rings(tmp_path: Path) -> None:
     assert found.intensity is not None
     assert np.allclose(found.xyz[:, 1], 0.1 * np.arange(30))
     assert np.allclose(found.time_s, 1e-6 * np.arange(30))
-
-
-def test_missing_returns_are_dropped_and_counted(tmp_path: Path) -> None:
-    said = drive(1)
-    columns = points(0)
-    for axis in "xyz":
-        columns[axis][:5] = np.nan
-        columns[axis][5:8] = 0
-    said[-1] = cloud("/points", START_NS, columns)
-    frame = dataset(write_bag(tmp_path, said))[0]
-    assert len(frame.cloud) == 192
-    assert sorted(frame.warnings) == [
-        "points: 3 of 200 points dropped: all zero",
-        "points: 5 of 200 points dropped: NaN or infinite",
-    ]
 
 
 def test_each_image_and_each_sweep_is_of_one_frame(tmp_path: Path) -> None:

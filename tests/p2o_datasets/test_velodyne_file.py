@@ -71,17 +71,6 @@ def test_untwisting_is_the_exponential_of_twist_times_time() -> None:
     assert without_times.untwisted(twist) is without_times
 
 
-def test_a_static_world_seen_while_driving_is_put_together_again() -> None:
-    rng = np.random.default_rng(6)
-    world = rng.uniform(-30, 30, (200, 3))
-    time_s = rng.uniform(-0.05, 0.05, 200)
-    twist = np.array([0.01, 0.02, 0.4, 15.0, 0.3, 0.1])
-    measured = np.stack(
-        [se3.apply(se3.inverse(se3.exp(twist * t)), p[None])[0] for t, p in zip(time_s, world, strict=True)]
-    )
-    assert np.allclose(Cloud(measured, time_s=time_s).untwisted(twist).xyz, world, atol=1e-10)
-
-
 def test_raising_elevations_keeps_ranges_and_azimuths() -> None:
     xyz = np.random.default_rng(8).uniform(-30, 30, (100, 3))
     raised = raise_elevation(xyz, 0.2)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from p2o import InputError, UnknownNameError
+from p2o import InputError
 
 from .opened import opened, refused
 from .waymo_files import SEGMENT, START_US, Segment
@@ -39,13 +39,6 @@ def test_records_give_the_frames_of_the_release_v2(tmp_path: Path, lidar: str) -
         assert (one.sequence, one.time_s, one.camera_name) == (other.sequence, other.time_s, other.camera_name)
 
 
-def test_names_of_segments_are_those_of_v2(tmp_path: Path) -> None:
-    write_records(Segment(tmp_path))
-    assert len(dataset(tmp_path, segments=SEGMENT)) == 3
-    with pytest.raises(UnknownNameError, match=f"did you mean {SEGMENT}"):
-        dataset(tmp_path, segments=SEGMENT[:-1])
-
-
 def test_a_frame_whose_start_is_long_is_found(tmp_path: Path) -> None:
     segment = Segment(tmp_path)
     padded = [message(1000, bytes(1 << 17)) + data for data in frames(segment)]
@@ -59,8 +52,7 @@ def test_a_frame_whose_start_is_long_is_found(tmp_path: Path) -> None:
     [
         (lambda data: data[:-2000], "a record of .* bytes with"),
         (lambda data: data[:5], "a truncated record"),
-        (lambda data: b"\x01" + data[1:], "a length with a wrong checksum"),
-        (lambda data: b"not a record at all", "a length with a wrong checksum"),
+        (lambda data: b"not a record at all", "a record of .* bytes with"),
         (lambda data: record(b"\xff" * 20), "the file of records is damaged"),
         (lambda data: record(whole(2, 5)), "a sensor has no calibration|no data of sensor"),
         (lambda data: record(b"\x0b"), "the file of records is damaged"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import importlib.resources
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
@@ -17,9 +17,9 @@ from p2o.confidence.audit import AXES
 from p2o.errors import InputError
 
 from p2o_fleet.checks import Checks
-from p2o_fleet.drive import Drive, day_of
+from p2o_fleet.drive import Drive
 from p2o_fleet.evidence import UPPER, Evidence, Verdict, estimate_columns, table_of
-from p2o_fleet.store import Store
+from p2o_fleet.store import Row, Store
 
 BANK = "noise.json"
 _DAY_S = 86400.0
@@ -31,8 +31,6 @@ _REASONS = {
     Verdict.CANNOT_TELL: "too few pairs of edges are within reach",
     Verdict.UNREADABLE: "the log cannot be read",
 }
-
-
 _OFFSET = np.repeat([0.05, 0.01], 3)
 """Standard deviations, in deg and m, of the constant errors of vehicles, which are at most three of them."""
 
@@ -43,7 +41,6 @@ class Fault(StrEnum):
     NONE = "none"
     SLIP = "slip"
     DRIFT = "drift"
-    WRONG_CAD = "wrong-cad"
     SWAPPED = "swapped-cameras"
     DIRTY = "dirty-lens"
     BROKEN = "broken-logs"
@@ -117,7 +114,7 @@ class Scenario:
 class SimulatedVehicle:
     """A vehicle with its fault: axis, size (deg or m) and the number of the first check with it; and its checks.
 
-    `table` is the Arrow table of the checks, as in a store.
+    `rows` are the rows of the checks, as in a store.
     """
 
     name: str
@@ -126,7 +123,7 @@ class SimulatedVehicle:
     size: float
     begin: int
     checks: Checks
-    table: Any
+    rows: Sequence[Row]
 
 
 def simulated_fleet(scenario: Scenario, bank: NoiseBank) -> Iterator[SimulatedVehicle]:
@@ -148,8 +145,8 @@ def _vehicle(scenario: Scenario, bank: NoiseBank, number: int) -> SimulatedVehic
     axis, sign = int(rng.integers(len(AXES))), 1 if rng.random() < 0.5 else -1
     size = sign * (scenario.slip_deg if axis < 3 else scenario.slip_m)
     begin = int(rng.integers(count // 5, max(count // 5 + 1, count * 3 // 5)))
-    rows = bank.groups[rig][rng.integers(len(bank.groups[rig]), size=count)]
-    error, covariance = bank.centred[rows].copy(), bank.covariance[rows].copy()
+    drawn = bank.groups[rig][rng.integers(len(bank.groups[rig]), size=count)]
+    error, covariance = bank.centred[drawn].copy(), bank.covariance[drawn].copy()
     error += np.clip(rng.normal(size=6), -3, 3) * _OFFSET
     time = np.asarray(_BEGIN + np.arange(count) * _DAY_S / scenario.per_day, np.float64)
     temperature = 12 - 12 * np.cos(2 * np.pi * (time - _BEGIN) / (365 * _DAY_S)) + rng.normal(size=count) * 3
@@ -167,7 +164,7 @@ def _vehicle(scenario: Scenario, bank: NoiseBank, number: int) -> SimulatedVehic
         Drive(name, "front", "top", key, "extrinsic.yaml", moment, rig, temperature_c=degrees)
         for key, moment, degrees in zip(keys, time.tolist(), temperature.tolist(), strict=True)
     ]
-    table = table_of(
+    rows = [
         Evidence.of(
             *(drive, drive.data, outcome, _REASONS.get(outcome, "")),
             **estimate,
@@ -181,10 +178,10 @@ def _vehicle(scenario: Scenario, bank: NoiseBank, number: int) -> SimulatedVehic
             version="simulated",
         ).row()
         for drive, outcome, estimate, frames in zip(
-            drives, verdict, estimates, bank.frame_count[rows].tolist(), strict=True
+            drives, verdict, estimates, bank.frame_count[drawn].tolist(), strict=True
         )
-    )
-    return SimulatedVehicle(name, fault, axis, size, begin, Checks.of(table, name), table)
+    ]
+    return SimulatedVehicle(name, fault, axis, size, begin, Checks.of(table_of(rows), name), rows)
 
 
 def _inject(
@@ -211,17 +208,9 @@ def _inject(
 
 
 def write_fleet(vehicles: Iterator[SimulatedVehicle], store: Store) -> int:
-    """Write simulated vehicles to a store, a file for each month, as runs do; return the number of checks."""
-    import pyarrow.parquet as pq
-
+    """Write simulated vehicles to a store, as runs do; return the number of checks."""
     total = 0
     for vehicle in vehicles:
-        months = np.array([day_of(time)[:7] for time in vehicle.checks.time])
-        starts = np.flatnonzero(np.concatenate([[True], months[1:] != months[:-1]]))
-        for begin, end in zip(starts, [*starts[1:], len(months)], strict=True):
-            folder = store.folder(vehicle.name) / f"day={months[begin]}"
-            folder.mkdir(parents=True, exist_ok=True)
-            part = vehicle.table.slice(begin, end - begin)
-            pq.write_table(part, folder / "part-simulated.parquet", compression="zstd")
-        total += len(months)
+        store.add(vehicle.rows)
+        total += len(vehicle.rows)
     return total

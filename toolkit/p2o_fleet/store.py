@@ -1,4 +1,4 @@
-"""The evidence of all checks: an append-only Parquet data set by vehicle and day, and journals of running writers."""
+"""The evidence of all checks: an append-only Parquet data set by vehicle and month, and journals of running writers."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import json
 import os
 import threading
 import uuid
-from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
 from typing import IO, Any
@@ -29,8 +29,8 @@ from p2o_fleet.parquet_file import open_parquet
 _FOLD_ROWS = 5000
 """Number of rows after which a journal becomes Parquet files: it bounds the memory of a run."""
 _ATTEMPTS = 10
-_MAX_PARTITIONS = 1024
-"""Number of partitions whose keys are remembered."""
+_MAX_VEHICLES = 1024
+"""Number of vehicles whose keys are remembered."""
 _MAX_ROWS, _MAX_JOURNAL = 400_000, 256 << 20
 """Maximum number of rows of a file, and of bytes of a journal."""
 
@@ -70,7 +70,7 @@ class Store:
 
     def vehicles(self) -> list[str]:
         """Return the names of all vehicles, sorted."""
-        names = {unquote(entry.name[8:]) for entry in _folders(self.checks_folder) if entry.name.startswith("vehicle=")}
+        names = {unquote(path.name[8:]) for path in self.checks_folder.glob("vehicle=*") if path.is_dir()}
         return sorted(names | {row["vehicle"] for row in self._journalled([])})
 
     def checks(self, vehicles: Sequence[str] | None = None) -> Iterator[Checks]:
@@ -99,11 +99,9 @@ class Store:
             paths = self.parts(vehicle)
         raise P2OError("the store changes while it is read", where=self.root, hint="run the same command again")
 
-    def parts(self, vehicle: str, day: str | None = None) -> list[Path]:
-        """Return the Parquet files of a vehicle, with `day` those that may contain checks of this day."""
-        wanted = None if day is None else {f"day={day}", f"day={day[:7]}", f"day={day[:4]}"}
-        days = [entry.path for entry in _folders(self.folder(vehicle)) if wanted is None or entry.name in wanted]
-        return sorted(Path(entry.path) for one in days for entry in _entries(one) if entry.name.endswith(".parquet"))
+    def parts(self, vehicle: str, day: str = "*") -> list[Path]:
+        """Return the Parquet files of a vehicle, or those in the folder of a `day`, month or year."""
+        return sorted(self.folder(vehicle).glob(f"day={day}/*.parquet"))
 
     def folder(self, vehicle: str) -> Path:
         """Return the folder of a vehicle."""
@@ -118,13 +116,15 @@ class Store:
             sync_folder(self.root)
         for path in _journals(self.journals, writer.damaged):
             with contextlib.suppress(FileNotFoundError), path.open("rb") as journal:
+                damaged: list[str] = []
+                rows = _lines(path, damaged)
+                writer.own |= {row["key"]: (row["verdict"], row["reason"]) for row in rows}
+                writer.damaged += damaged
                 if _lock(journal):  # its writer has ended
-                    damaged: list[str] = []
-                    self.add(_lines(path, 0, damaged)[0])
+                    self.add(rows)
                     if damaged:  # its lines are kept for a look at them
                         path.rename(path.with_suffix(".damaged"))
                     path.unlink(missing_ok=True)
-                    writer.damaged += damaged
         return writer
 
     def add(self, rows: Iterable[Row]) -> None:
@@ -134,69 +134,61 @@ class Store:
         before those that it contains are removed.
         """
         import pyarrow as pa
+        import pyarrow.parquet as pq
 
         groups: dict[tuple[str, str], list[Row]] = {}
         for row in rows:
             groups.setdefault((row["vehicle"], day_of(row["time"])[:7]), []).append(row)
         for (vehicle, month), group in groups.items():
             before = {}
-            for path in self.parts(vehicle):
+            for path in self.parts(vehicle, month):
                 with contextlib.suppress(FileNotFoundError):  # another process was faster
-                    if _days(path).startswith(month) and (part := _read(path, vehicle, [], COLUMNS)) is not None:
+                    if (part := _read(path, vehicle, [], COLUMNS)) is not None:
                         before[path] = with_schema(part[0])
             if len(group) + sum(map(len, before.values())) > _MAX_ROWS:
                 before = {}
-            written = self._write(vehicle, month, _rows_once(pa.concat_tables([table_of(group), *before.values()])))
-            for path in before:
-                if path != written:
-                    path.unlink(missing_ok=True)
-                    with contextlib.suppress(OSError):  # not empty: another process has written to it
-                        path.parent.rmdir()
-
-    def _write(self, vehicle: str, day: str, table: Any) -> Path:
-        """Write a file and the names of its folders to the disk; the name depends on its checks."""
-        import pyarrow.parquet as pq
-
-        keys = sorted(map("".join, zip(*(table[name].to_pylist() for name in ("key", "verdict")), strict=True)))
-        digest = hashlib.sha256("\n".join(keys).encode()).hexdigest()[:24]
-        path = self.folder(vehicle) / f"day={day}" / f"part-{digest}.parquet"
-        content = BytesIO()
-        pq.write_table(table, content, compression="zstd", use_dictionary=True)
-        with write_errors("evidence", path.parent):
-            for attempt in range(_ATTEMPTS):
+            table = _rows_once(pa.concat_tables([table_of(group), *before.values()]))
+            # The name depends on the checks: processes that write different ones do not replace each other's file.
+            keys = sorted(map("".join, zip(*(table[name].to_pylist() for name in ("key", "verdict")), strict=True)))
+            digest = hashlib.sha256("\n".join(keys).encode()).hexdigest()[:24]
+            path = self.folder(vehicle) / f"day={month}" / f"part-{digest}.parquet"
+            content = BytesIO()
+            pq.write_table(table, content, compression="zstd", use_dictionary=True)
+            with write_errors("evidence", path.parent):
                 path.parent.mkdir(parents=True, exist_ok=True)
                 try:
                     write_synced(path, content.getvalue())
-                    break
                 except InputError as problem:
-                    if path.parent.exists() or attempt == _ATTEMPTS - 1:  # else another process removed the folder
-                        raise problem.__cause__ or problem from None
-            for folder in (path.parent, path.parent.parent, self.checks_folder):
-                sync_folder(folder)
-        return path
+                    raise problem.__cause__ or problem from None
+                for folder in (path.parent, path.parent.parent, self.checks_folder):
+                    sync_folder(folder)
+            for replaced in before.keys() - {path}:
+                replaced.unlink(missing_ok=True)
 
     def _journalled(self, damaged: list[str]) -> Iterator[Row]:
         for path in _journals(self.journals, damaged):
             with contextlib.suppress(FileNotFoundError):
-                yield from _lines(path, 0, damaged)[0]
+                yield from _lines(path, damaged)
 
 
 @dataclass(eq=False)
 class Writer:
     """Appends evidence to the journal of this process, and knows which checks are finished.
 
-    `damaged` are the files and lines of the store that were skipped.
+    `damaged` are the files and lines of the store that were skipped, `own` verdict and reason by key of the checks in
+    journals: of this writer, and of others when it began.
     """
 
     store: Store
     damaged: list[str] = field(default_factory=list)
+    own: dict[str, tuple[str, str]] = field(default_factory=dict)
     _pending: list[Row] = field(default_factory=list)
-    _own: dict[str, tuple[str, str]] = field(default_factory=dict)
-    _partitions: OrderedDict[tuple[str, str], dict[str, tuple[str, str]]] = field(default_factory=OrderedDict)
-    _offsets: dict[Path, int] = field(default_factory=dict)
     _journal: IO[bytes] | None = None
     _path: Path | None = None
     _lock: threading.RLock = field(default_factory=threading.RLock)
+
+    def __post_init__(self) -> None:
+        self._keys = lru_cache(_MAX_VEHICLES)(self._keys_of)
 
     def __enter__(self) -> Writer:
         return self
@@ -207,24 +199,16 @@ class Writer:
     def finished(self, drive: Drive, key: str) -> bool:
         """Return whether this check is stored, by any writer; unreadable logs are not finished. Thread-safe."""
         with self._lock:
-            return self._stored(drive.vehicle, drive.day, key)[:1] not in ((), (Verdict.UNREADABLE.value,))
+            return self._stored(drive.vehicle, key)[:1] not in ((), (Verdict.UNREADABLE.value,))
 
-    def _stored(self, vehicle: str, day: str, key: str) -> tuple[str, ...]:
+    def _stored(self, vehicle: str, key: str) -> tuple[str, ...]:
         """Return verdict and reason of a stored check, empty if there is none."""
-        self._follow()
-        if key in self._own:
-            return self._own[key]
-        place = (vehicle, day)
-        if place not in self._partitions:
-            self._partitions[place] = self._keys(vehicle, day)
-            if len(self._partitions) > _MAX_PARTITIONS:
-                self._partitions.popitem(last=False)
-        return self._partitions[place].get(key, ())
+        return self.own.get(key) or self._keys(vehicle).get(key) or ()
 
-    def _keys(self, vehicle: str, day: str) -> dict[str, tuple[str, str]]:
+    def _keys_of(self, vehicle: str) -> dict[str, tuple[str, str]]:
         """Return verdict and reason by key; a readable row of a key counts more than an unreadable one."""
         outcomes: dict[str, tuple[str, str]] = {}
-        for path in self.store.parts(vehicle, day):
+        for path in self.store.parts(vehicle):
             with contextlib.suppress(FileNotFoundError):
                 if (part := _read(path, vehicle, self.damaged)) is not None:
                     names = ("key", "verdict", "reason")
@@ -233,14 +217,6 @@ class Writer:
                             outcomes[key] = (outcome[0], outcome[1])
         return outcomes
 
-    def _follow(self) -> None:
-        """Read what other writers have appended to their journals since the last call."""
-        for path in _journals(self.store.journals, []):
-            with contextlib.suppress(FileNotFoundError):
-                if path != self._path and path.stat().st_size > self._offsets.get(path, 0):
-                    rows, self._offsets[path] = _lines(path, self._offsets.get(path, 0), self.damaged)
-                    self._own |= {row["key"]: (row["verdict"], row["reason"]) for row in rows}
-
     def put(self, evidence: Evidence) -> bool:
         """Store evidence on the disk before returning; False if it is stored already. Thread-safe.
 
@@ -248,14 +224,14 @@ class Writer:
         """
         with self._lock:
             outcome = (evidence.verdict.value, evidence.reason)
-            stored = self._stored(evidence.vehicle, day_of(evidence.time), evidence.key)
+            stored = self._stored(evidence.vehicle, evidence.key)
             if stored and (stored[0] != Verdict.UNREADABLE.value or stored == outcome):
                 return False
             row = evidence.row()
             with write_errors("evidence", self.store.journals, "free some space, then run the same command again"):
                 _append(self._open(), json.dumps(row, allow_nan=False).encode() + b"\n")
             self._pending.append(row)
-            self._own[evidence.key] = outcome
+            self.own[evidence.key] = outcome
             if len(self._pending) >= _FOLD_ROWS:
                 self.fold()
             return True
@@ -281,18 +257,12 @@ class Writer:
         self._pending.clear()
 
 
-def _days(path: Path) -> str:
-    """Return the month, day or year whose checks a file contains."""
-    return path.parent.name.removeprefix("day=")
-
-
 def _append(file: IO[bytes], line: bytes) -> None:
     """Write a line to the disk, whole or not at all."""
     before = file.seek(0, os.SEEK_END)
     try:
-        rest = memoryview(line)
-        while rest:
-            rest = rest[file.write(rest) :]
+        if file.write(line) < len(line):
+            raise OSError(0, "the disk is full")
         os.fsync(file.fileno())
     except OSError:
         file.truncate(before)
@@ -310,10 +280,15 @@ def _read(path: Path, vehicle: str, damaged: list[str], names: Sequence[str] = R
             table = file.read([name for name in names if name in stored], use_threads=False)
             return table, Checks.of(table, vehicle)
     except InputError as problem:
-        if isinstance(problem.__cause__, FileNotFoundError):
-            raise problem.__cause__ from problem
-        damaged.append(str(problem))
+        _skip(problem, damaged)
         return None
+
+
+def _skip(problem: InputError, damaged: list[str]) -> None:
+    """Name a file that cannot be read in `damaged`; raises FileNotFoundError if another process has removed it."""
+    if isinstance(problem.__cause__, FileNotFoundError):
+        raise problem.__cause__ from problem
+    damaged.append(str(problem))
 
 
 def _rows_once(table: Any) -> Any:
@@ -331,8 +306,8 @@ def _journals(folder: Path, damaged: list[str]) -> list[Path]:
     return [path for path in every if path.is_file()]
 
 
-def _lines(path: Path, offset: int, damaged: list[str]) -> tuple[list[Row], int]:
-    """Return the rows of the complete lines of a journal from an offset, and the offset behind them.
+def _lines(path: Path, damaged: list[str]) -> list[Row]:
+    """Return the rows of the complete lines of a journal.
 
     The last line of a killed writer, or of a full disk, may be incomplete: its check was not finished. Other lines that
     are not rows are skipped and named in `damaged`. Raises FileNotFoundError if the journal has been stored meanwhile.
@@ -340,13 +315,10 @@ def _lines(path: Path, offset: int, damaged: list[str]) -> tuple[list[Row], int]
     try:
         data = read_bytes(path, "journal", _MAX_JOURNAL) if path.stat().st_size else b""
     except InputError as problem:
-        if isinstance(problem.__cause__, FileNotFoundError):
-            raise problem.__cause__ from problem
-        damaged.append(str(problem))
-        return [], offset
+        _skip(problem, damaged)
+        return []
     rows: list[tuple[str, Row]] = []
-    lines = data[offset:].split(b"\n")[:-1]
-    for number, line in enumerate(lines, start=data[:offset].count(b"\n") + 1):
+    for number, line in enumerate(data.split(b"\n")[:-1], start=1):
         where = f"{path}, line {number}"
         try:
             row = parse_json(line, "row", where)
@@ -355,7 +327,7 @@ def _lines(path: Path, offset: int, damaged: list[str]) -> tuple[list[Row], int]
             rows.append((where, row))
         except InputError as problem:
             damaged.append(str(problem))
-    return _valid(rows, damaged), offset + sum(map(len, lines)) + len(lines)
+    return _valid(rows, damaged)
 
 
 def _valid(rows: Sequence[tuple[str, Row]], damaged: list[str]) -> list[Row]:
@@ -374,27 +346,16 @@ def _valid(rows: Sequence[tuple[str, Row]], damaged: list[str]) -> list[Row]:
 
 
 def _lock(file: IO[bytes]) -> bool:
-    """Take the lock of a journal, which the operating system releases when its writer ends; False if it has one."""
+    """Take the lock of a journal, which the operating system releases when its writer ends; False if it has one.
+
+    Without locks (Windows, some file systems) a journal is stored twice, and read once.
+    """
     try:
         import fcntl
-    except ImportError:  # Windows: no other process may delete an open file, so its journal stays
-        return True
-    try:
+
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
-    except OSError:  # a file system without locks: the journal is stored twice, and read once
+    except (ImportError, OSError):
         return True
     return True
-
-
-def _entries(folder: Path | str) -> list[os.DirEntry[str]]:
-    try:
-        with os.scandir(folder) as entries:
-            return list(entries)
-    except (FileNotFoundError, NotADirectoryError):
-        return []
-
-
-def _folders(folder: Path | str) -> list[os.DirEntry[str]]:
-    return [entry for entry in _entries(folder) if entry.is_dir()]

@@ -37,14 +37,6 @@ _TRIES = {
 """How a method of each kind is tried from its file, before it is installed: on a scene that is quickly rendered."""
 
 
-def slot_word(kind: Kind) -> str:
-    """Return how a slot is said on the command line, such as image-extractor."""
-    return kind.value.replace(" ", "-")
-
-
-SLOT_WORDS = {slot_word(kind): kind for kind in Kind}
-
-
 @dataclass(frozen=True)
 class NewPlugin:
     """The package to write: `name` is that of its distribution and of its method, a slug (a-z, 0-9, -).
@@ -104,7 +96,7 @@ class NewPlugin:
         }
         files = {path: self._filled(source) for path, source in sources.items()}
         files[f"src/{self.module}/__init__.py"] = f'"""{self._about} for p2o."""\n'
-        files[self.file] = self._filled(f"slots/{slot_word(self.kind)}.py") + self._filled("hook.py")
+        files[self.file] = self._filled(f"slots/{self.kind.value.replace(' ', '-')}.py") + self._filled("hook.py")
         return files
 
     def write(self, parent: Path) -> Path:

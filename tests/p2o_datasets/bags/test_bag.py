@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from p2o import Camera, InputError, MethodUnavailable, UnknownNameError
+from p2o import Camera, InputError, MethodUnavailable
 from p2o_datasets.bags import bag as bags
 from p2o_datasets.bags.bag import Bag
-from p2o_datasets.bags.choice import choose
 
 from tests.bag_files import FORMS, Said, camera_info, file_of, image, write_bag
 
@@ -76,11 +75,6 @@ def test_a_bag_travels_to_other_processes_and_closes_its_files(tmp_path: Path) -
     del bag
     after = len(os.listdir("/proc/self/fd")) if Path("/proc/self/fd").is_dir() else 0
     assert after < before
-
-
-def test_unknown_topics_are_told_the_nearest(tmp_path: Path) -> None:
-    with pytest.raises(UnknownNameError, match="did you mean /image"):
-        choose(Bag(write_bag(tmp_path, said())), "/imag")
 
 
 def test_what_is_no_bag_is_said_in_one_line(tmp_path: Path) -> None:

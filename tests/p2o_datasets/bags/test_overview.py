@@ -78,13 +78,6 @@ def test_the_table_has_a_line_a_topic_and_says_why_nothing_is_chosen(
     assert "data.cloud_topic=NAME" in lines[-1]
 
 
-def test_a_missing_bag_is_one_line_and_status_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["data", "topics", str(tmp_path / "gone.bag")]) == 2
-    said = capsys.readouterr().err.strip()
-    assert "the bag is missing" in said
-    assert "\n" not in said
-
-
 def test_a_topic_that_cannot_be_read_says_so_in_its_line(tmp_path: Path) -> None:
     wrong = cloud("/points", START_NS, POINTS)
     odd = Said("/points", "sensor_msgs/msg/Image", START_NS, image("/points", START_NS, PIXELS).fields | {"height": 0})

@@ -6,6 +6,8 @@ import numpy as np
 from p2o import Camera, se3
 from p2o.arrays import Float
 from p2o.problems.picked_pairs import PickedPairs
+from p2o_pages.pick.session import PickSession
+from p2o_testing import stage
 
 CAMERAS = {
     "pinhole": Camera.pinhole(721.5, 721.5, 609.6, 172.9, 1242, 375),
@@ -30,3 +32,13 @@ def moved(pairs: PickedPairs, rows: list[int], by_px: Float) -> PickedPairs:
     uv = pairs.uv.copy()
     uv[rows] += by_px
     return PickedPairs(uv, pairs.xyz)
+
+
+def places(session: PickSession, count: int, seed: int = 2) -> list[tuple[Float, tuple[int, int]]]:
+    """Return pixels of the image and of the range image that show the same points of the stage."""
+    rows, columns = np.nonzero(session.ranges.index >= 0)
+    camera, pose = stage.camera(), stage.camera_from_lidar()
+    uv = camera.project(se3.apply(pose, session.ranges.xyz[session.ranges.index[rows, columns]]))
+    seen = np.flatnonzero(camera.in_image(uv, -8))
+    chosen = np.random.default_rng(seed).choice(seen, count, replace=False)
+    return [(uv[i], (int(columns[i]), int(rows[i]))) for i in chosen]

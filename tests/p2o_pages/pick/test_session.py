@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from p2o import InputError, pose_error, se3
+from p2o import InputError, pose_error
 from p2o.problems.picked_pairs import PickedPairs, read_pairs, write_pairs
 from p2o_pages.pick.session import PickSession
 from p2o_testing import stage
+
+from tests.p2o_pages.pick.rig import places
 
 FRAME = stage.frame()
 POSE = stage.camera_from_lidar()
@@ -21,22 +23,13 @@ def session(tmp_path: Path) -> PickSession:
     return PickSession([FRAME, FRAME], ["stage", "second"], [0, 1], tmp_path / "pairs.yaml")
 
 
-def pixels_in_both(session: PickSession, count: int) -> list[tuple[Any, Any]]:
-    """Return exact pixels in the image, and column and row in the range image, of points all over the image."""
-    row, column = np.nonzero(session.ranges.index >= 0)
-    uv = FRAME.camera.project(se3.apply(POSE, session.ranges.xyz[session.ranges.index[row, column]]))
-    seen = np.flatnonzero(FRAME.camera.in_image(uv, -5))
-    chosen = np.random.default_rng(0).choice(seen, count, replace=False)
-    return [(uv[i], (int(column[i]), int(row[i]))) for i in chosen]
-
-
 def pick(session: PickSession, uv: Any, place: Any) -> None:
     session.pick_pixel(np.asarray(uv))
     session.pick_point(*place)
 
 
 def test_a_pixel_and_a_point_become_a_pair_in_either_order_and_the_file_has_it_at_once(session: PickSession) -> None:
-    for number, (uv, place) in enumerate(pixels_in_both(session, 4)):
+    for number, (uv, place) in enumerate(places(session, 4)):
         if number % 2:
             pick(session, uv, place)
         else:
@@ -77,13 +70,13 @@ def test_an_existing_file_is_continued_and_keeps_other_frames(tmp_path: Path) ->
     write_pairs(path, {"stage": pairs, "elsewhere": pairs})
     session = PickSession([FRAME], ["stage"], [0], path)
     assert session.pairs.uv.tolist() == [[5, 6]]
-    pick(session, *pixels_in_both(session, 1)[0])
+    pick(session, *places(session, 1)[0])
     assert {name: len(each) for name, each in read_pairs(path).items()} == {"stage": 2, "elsewhere": 1}
     assert session.count == 2
 
 
 def test_exact_pairs_of_two_frames_yield_the_pose_and_the_residual_of_each(session: PickSession) -> None:
-    picks = pixels_in_both(session, 9)
+    picks = places(session, 9)
     for number, (uv, place) in enumerate(picks):
         session.look_at(int(number > 6))
         shift = np.array([(60 if uv[0] < FRAME.camera.width / 2 else -60) * (number == 4), 0])
@@ -107,7 +100,7 @@ def test_exact_pairs_of_two_frames_yield_the_pose_and_the_residual_of_each(sessi
 
 
 def test_too_few_pairs_have_no_residuals(session: PickSession) -> None:
-    for each in pixels_in_both(session, 2):
+    for each in places(session, 2):
         pick(session, *each)
     assert session.solved is None
     residuals = session.residuals()
@@ -120,19 +113,9 @@ def test_a_place_without_a_point_is_an_error(session: PickSession) -> None:
         session.pick_point(99999999, 99999999)
 
 
-def test_pairs_outside_of_the_image_are_an_error_of_the_pose_only(tmp_path: Path) -> None:
-    """Pairs of another camera are reported on the page, which opens all the same."""
-    path = tmp_path / "pairs.yaml"
-    write_pairs(path, {"stage": PickedPairs(np.full((4, 2), 5000.0), FRAME.cloud.xyz[:4])})
-    session = PickSession([FRAME], ["stage"], [0], path)
-    with pytest.raises(InputError, match="outside of the image"):
-        session.solve()
-    assert len(session.pairs) == 4
-
-
 def test_if_the_file_cannot_be_written_the_pairs_are_unchanged(session: PickSession) -> None:
     session.path.mkdir()
-    (uv, place), *_ = pixels_in_both(session, 1)
+    (uv, place), *_ = places(session, 1)
     session.pick_pixel(uv)
     with pytest.raises(InputError, match="cannot write"):
         session.pick_point(*place)
@@ -140,21 +123,6 @@ def test_if_the_file_cannot_be_written_the_pairs_are_unchanged(session: PickSess
     session.path.rmdir()
     session.pick_point(*place)
     assert session.count == 1, "a second click tries again"
-
-
-def test_a_frame_that_cannot_be_read_changes_nothing(tmp_path: Path) -> None:
-    class Broken(list[Any]):
-        def __getitem__(self, index: Any) -> Any:
-            if index:
-                raise InputError("the image is missing", where="a.png")
-            return FRAME
-
-    session = PickSession(Broken(), ["a", "b"], [0, 1], tmp_path / "pairs.yaml")
-    session.pick_pixel(np.array([1.0, 2.0]))
-    with pytest.raises(InputError, match="image is missing"):
-        session.look_at(1)
-    assert session.number == 0
-    assert session.picked_uv is not None
 
 
 def test_a_missing_folder_and_another_file_are_errors_at_once(tmp_path: Path) -> None:

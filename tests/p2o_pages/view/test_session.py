@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from p2o import Camera, Frame, Image, InputError, se3
 from p2o.draw.sweep_image import draw_sweep, sweep_colours
-from p2o.host.calibration_file import read_initial_guess
 from p2o_pages.view.nudge import Nudge
 from p2o_pages.view.session import KnownPose, Opened, ViewSession
 from p2o_pages.view.shown_frame import LONGEST_PX, ShownFrame
@@ -55,28 +54,6 @@ def test_the_overlay_is_the_whole_sweep_at_the_pose_that_the_sliders_say(tmp_pat
     assert not np.array_equal(viewed.overlay("reflectance"), expected)
     viewed.begin_at("start")
     assert np.array_equal(viewed.overlay(), draw_sweep(FRAME.image.rgb, FRAME.cloud, FRAME.camera, START))
-
-
-def test_other_axes_go_on_from_the_pose_of_now(tmp_path: Path) -> None:
-    viewed = session(tmp_path)
-    viewed.nudge = Nudge("camera", (1.0, 2.0, 3.0), (0.1, 0.2, 0.3))
-    before = viewed.pose
-    viewed.settle("LiDAR")
-    assert viewed.nudge == Nudge("LiDAR")
-    assert np.array_equal(viewed.pose, before)
-    viewed.nudge = Nudge("LiDAR", (0.0, 0.0, 5.0))
-    assert np.allclose(viewed.pose, before @ se3.exp(np.array([0, 0, np.radians(5), 0, 0, 0])))
-
-
-def test_the_written_file_is_the_pose_of_now_to_who_reads_a_start(tmp_path: Path) -> None:
-    viewed = session(tmp_path)
-    viewed.nudge = Nudge("camera", (1.0, -2.0, 0.02), (0.002, 0.3, -0.4))
-    assert viewed.written is None
-    path = viewed.write()
-    assert path == viewed.written == tmp_path / "start.yaml"
-    pose, remarks = read_initial_guess(str(path))
-    assert np.allclose(pose, viewed.pose, rtol=0, atol=1e-12)
-    assert remarks == ()
 
 
 def test_the_pose_stays_when_another_frame_is_looked_at_and_a_bad_one_changes_nothing(tmp_path: Path) -> None:

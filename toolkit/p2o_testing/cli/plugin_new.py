@@ -8,13 +8,19 @@ import click
 from p2o.cli.plugin_options import load
 from p2o.host.slots import Kind
 
-SLOTS = [kind.value.replace(" ", "-") for kind in Kind]
-"""The keys of `p2o_testing.new_plugin.SLOT_WORDS`, without its imports, which `--help` does not need."""
+SLOTS = {kind.value.replace(" ", "-"): kind for kind in Kind}
+"""Kinds of methods by their words on the command line."""
 
 
 @click.command("new")
 @click.argument("name")
-@click.option("--slot", type=click.Choice(SLOTS), default=SLOTS[0], show_default=True, help="The slot of its method.")
+@click.option(
+    "--slot",
+    type=click.Choice(list(SLOTS)),
+    default=next(iter(SLOTS)),
+    show_default=True,
+    help="The slot of its method.",
+)
 @click.option("--out", default=".", metavar="DIR", help="Parent of the new folder NAME (default: the current folder).")
 def command(name: str, slot: str, out: str) -> int:
     """Create the package NAME with a small working method, its tests, and a workflow that checks it.
@@ -22,9 +28,9 @@ def command(name: str, slot: str, out: str) -> int:
     NAME is that of the distribution and of the method: a-z, 0-9 and single -, such as acme-edges. An existing folder is
     not changed.
     """
-    from p2o_testing.new_plugin import SLOT_WORDS, NewPlugin
+    from p2o_testing.new_plugin import NewPlugin
 
-    plugin = NewPlugin(name, SLOT_WORDS[slot])
+    plugin = NewPlugin(name, SLOTS[slot])
     plugin.check_free(load((), ()))
     root = plugin.write(Path(out))
     click.echo(f"wrote {root}:")
