@@ -19,15 +19,13 @@ import p2o
 from p2o.errors import UnknownNameError
 from p2o.geometry.pose_error import pose_error
 
-from p2o_study.ablate import OnProgress, OnWarning, Progress, calibrated, open_session
+from p2o_study.ablate import Progress, calibrated, open_session
 from p2o_study.benchmark.suite import SuiteFile
 from p2o_study.cells import Cell, Method
-from p2o_study.parallel import Workers
 from p2o_study.row import Row
 from p2o_study.rows import Rows
 from p2o_study.worker import Plugins
 
-SAMPLE = 30
 SAME_DEG, SAME_M, SAME_PREDICTED = 1e-6, 1e-6, 1e-3
 """Largest difference of a pose that is computed again, and largest relative difference of a predicted error."""
 OTHER_DEG, OTHER_M, OTHER_PREDICTED = 0.02, 0.005, 0.1
@@ -70,7 +68,9 @@ class SuiteStatus:
 
     `unchecked` are datasets without a path: their existing rows are compared by method only, and missing ones are
     unknown. `surplus` counts rows that the suite does not ask for, or that a later row replaces, `unreadable`
-    calibrations with a frame that cannot be read.
+    calibrations with a frame that cannot be read. `kept` and `removable` are the rows: one can be removed if a later
+    one replaces it, or if the suite does not ask for it. Of datasets without a path or with a frame that cannot be
+    read, only replaced rows can be removed.
     """
 
     suite: str
@@ -78,6 +78,8 @@ class SuiteStatus:
     unchecked: tuple[str, ...]
     surplus: int
     unreadable: int
+    kept: Sequence[Row]
+    removable: Sequence[Row]
 
     def count(self, state: State) -> int:
         """Return the number of calibrations in a state."""
@@ -157,22 +159,13 @@ class Measured:
 
 
 def measure(
-    suite: SuiteFile,
-    results: Rows,
-    *,
-    measured_by: str,
-    sections: Collection[str] = (),
-    plugins: Plugins | None = None,
-    workers: Workers | None = None,
-    at_most: int | None = None,
-    on_progress: OnProgress | None = None,
-    on_warning: OnWarning | None = None,
+    suite: SuiteFile, results: Rows, *, measured_by: str, sections: Collection[str] = (), **words: Any
 ) -> Measured:
     """Compute the missing and stale rows of a suite, or of some of its `sections`, and append them to the results.
 
     Each row is appended when it is finished, so that an interrupted measurement continues. A calibration that another
     suite has measured with this version of the method is not computed again, unless the suite has `share = false`.
-    Raises UnknownNameError for an unknown section, and as `p2o_study.ablate.ablate`.
+    The other words are those of `open_session`. Raises UnknownNameError for an unknown section, and as `ablate`.
     """
     names = list(dict.fromkeys(row.section for row in suite.rows))
     for section in sections:
@@ -190,7 +183,7 @@ def measure(
         environment = replace(row.environment, commit=commit, measured_by=measured_by)
         return replace(row.brief(), environment=environment)
 
-    with open_session(suite.study.study, plugins, workers, None, at_most, on_progress, on_warning) as session:
+    with open_session(suite.study.study, **words) as session:
         try:
             cells = session.cells()
             for position, cell in enumerate(cells):
@@ -227,56 +220,51 @@ def _crashed(results: Rows, suite: str) -> int:
     return sum(row.crashed for row in results.each(suite))
 
 
-def status_of(
-    suite: SuiteFile,
-    results: Rows,
-    *,
-    plugins: Plugins | None = None,
-    workers: Workers | None = None,
-    on_progress: OnProgress | None = None,
-) -> SuiteStatus:
-    """Return the status of a suite; frames of datasets with a path are read, nothing is computed."""
+def status_of(suite: SuiteFile, results: Rows, plugins: Plugins, **words: Any) -> SuiteStatus:
+    """Return the status of a suite; frames of datasets with a path are read, nothing is computed.
+
+    The other words are those of `open_session`.
+    """
     rows = list(results.each(suite.name))
-    known, unchecked = _Known(rows), _unchecked(suite)
+    known, unchecked = _Known(rows), {table.name for table in suite.study.study.dataset if table.left_out}
     entries: list[Entry] = []
     asked: dict[Any, Cell] = {}
-    unreadable = 0
-    for cell in _cells(suite, plugins, workers, on_progress):
-        if not cell.group.readable:
-            unreadable += 1
-            continue
-        asked[cell.planned.identity] = cell
-        asked.setdefault(_any_method(cell.planned.identity), cell)
-        entries.append(Entry.of(cell.planned, known.state(cell)[0]))
+    unreadable: list[str] = []
+    if len(unchecked) < len(suite.study.study.dataset):
+        with open_session(suite.study.study, plugins, **{**words, "on_warning": lambda text: None}) as session:
+            for cell in session.cells():
+                if not cell.group.readable:
+                    unreadable.append(cell.planned.dataset)
+                    continue
+                asked[cell.planned.identity] = cell
+                asked.setdefault(_any_method(cell.planned.identity), cell)
+                entries.append(Entry.of(cell.planned, known.state(cell)[0]))
     revisions = _revisions(suite, plugins) if unchecked else {}
     surplus = len(rows) - len(known.by_identity)
-    for identity, row in known.by_identity.items():
-        if identity in asked:
-            continue
-        if row.method.external and (same := asked.get(_any_method(identity))) is not None:
+    for row in known.by_identity.values():
+        same = asked.get(_asked_by(row))
+        if same is not None and row.method.external:
             entries.append(Entry.of(row, _why_stale(same, row)))
-        elif row.dataset in unchecked and (row.method.external or (row.section, row.row) in revisions):
+        elif same is None and row.dataset in unchecked and (row.method.external or (row.section, row.row) in revisions):
             current = row.method.external or row.method.revision in revisions[row.section, row.row]
             entries.append(Entry.of(row, State.CRASHED if row.crashed else State.FRESH if current else State.METHOD))
-        else:
+        elif same is None:
             surplus += 1
-    return SuiteStatus(suite.name, tuple(entries), tuple(sorted(unchecked)), surplus, unreadable)
-
-
-def _unchecked(suite: SuiteFile) -> set[str]:
-    return {table.name for table in suite.study.study.dataset if table.left_out}
-
-
-def _cells(
-    suite: SuiteFile, plugins: Plugins | None, workers: Workers | None, on_progress: OnProgress | None
-) -> Sequence[Cell]:
-    """Return the calibrations of a suite on the data of this machine; frames are read."""
-    if len(_unchecked(suite)) == len(suite.study.study.dataset):
-        return ()
-    with open_session(
-        suite.study.study, plugins, workers, on_progress=on_progress, on_warning=lambda text: None
-    ) as session:
-        return session.cells()
+    fresh = {cell.planned.key for cell in asked.values()}
+    kept: dict[Any, Row] = {}
+    for row in rows:
+        before = kept.get(row.identity)
+        replaces = (
+            before is None or before.crashed or not (row.crashed or (before.key in fresh and row.key not in fresh))
+        )
+        if replaces and (_asked_by(row) in asked or row.dataset in {*unchecked, *unreadable}):
+            kept[row.identity] = row
+    chosen = set(map(id, kept.values()))
+    removable = [row for row in rows if id(row) not in chosen]
+    without_data = tuple(sorted(unchecked))
+    return SuiteStatus(
+        suite.name, tuple(entries), without_data, surplus, len(unreadable), list(kept.values()), removable
+    )
 
 
 def _any_method(identity: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -285,47 +273,17 @@ def _any_method(identity: tuple[Any, ...]) -> tuple[Any, ...]:
     return (section, dataset, None, *draw)
 
 
-def _revisions(suite: SuiteFile, plugins: Plugins | None) -> Mapping[tuple[str, str], set[str]]:
+def _asked_by(row: Row) -> tuple[Any, ...]:
+    return _any_method(row.identity) if row.method.external else row.identity
+
+
+def _revisions(suite: SuiteFile, plugins: Plugins) -> Mapping[tuple[str, str], set[str]]:
     """Return the revisions of the methods of each row, by section and label; no data are needed."""
-    registry = (Plugins.of() if plugins is None else plugins).registry()
+    registry = plugins.registry()
     return {
         (row.section, row.label): {Method.of(row, seed, "{}", {}, registry).digest for seed in row.seeds}
         for row in suite.rows
     }
-
-
-def prunable(
-    suite: SuiteFile,
-    results: Rows,
-    *,
-    plugins: Plugins | None = None,
-    workers: Workers | None = None,
-    on_progress: OnProgress | None = None,
-) -> tuple[list[Row], list[Row]]:
-    """Return the rows of a suite to keep and those that can be removed; nothing is computed.
-
-    A row can be removed if a later one replaces it, or if the suite does not ask for it. Of datasets without a path or
-    with a frame that cannot be read, only replaced rows can be removed.
-    """
-    rows, incomplete = list(results.each(suite.name)), _unchecked(suite)
-    asked: set[Any] = set()
-    fresh: set[str] = set()
-    for cell in _cells(suite, plugins, workers, on_progress):
-        if not cell.group.readable:
-            incomplete.add(cell.planned.dataset)
-        asked |= {cell.planned.identity, _any_method(cell.planned.identity)}
-        fresh.add(cell.planned.key)
-    kept: dict[Any, Row] = {}
-    for row in rows:
-        identity = _any_method(row.identity) if row.method.external else row.identity
-        before = kept.get(row.identity)
-        replaces = (
-            before is None or before.crashed or not (row.crashed or (before.key in fresh and row.key not in fresh))
-        )
-        if replaces and (identity in asked or row.dataset in incomplete):
-            kept[row.identity] = row
-    chosen = set(map(id, kept.values()))
-    return list(kept.values()), [row for row in rows if id(row) not in chosen]
 
 
 @dataclass(frozen=True)
@@ -366,28 +324,18 @@ class Recheck:
         return "\n".join(lines)
 
 
-def recheck(
-    suite: SuiteFile,
-    results: Rows,
-    *,
-    sample: int = SAMPLE,
-    seed: int,
-    plugins: Plugins | None = None,
-    workers: Workers | None = None,
-    on_progress: OnProgress | None = None,
-    on_warning: OnWarning | None = None,
-) -> Recheck:
+def recheck(suite: SuiteFile, results: Rows, *, sample: int, seed: int, **words: Any) -> Recheck:
     """Compute a random sample of the fresh rows of a suite again; compare status, verdict, pose and predicted errors.
 
     Rows of this processor have to agree to 1e-6 deg and m, those of others to 0.02 deg and 5 mm. No outcome is taken
-    from a store.
+    from a store. The other words are those of `open_session`.
     """
     rows = list(results.each(suite.name))
     known = _Known(rows)
     states: Counter[State] = Counter()
     fresh: list[tuple[Cell, Row]] = []
     missing = []
-    with open_session(suite.study.study, plugins, workers, None, None, on_progress, on_warning) as session:
+    with open_session(suite.study.study, **words) as session:
         for cell in session.cells():
             state, row = known.state(cell)
             states[state] += 1
@@ -398,11 +346,10 @@ def recheck(
         chosen = [fresh[i] for i in sorted(np.random.default_rng(seed).permutation(len(fresh))[:sample])]
         before = {cell.planned.key: row for cell, row in chosen}
         different: list[str] = []
-        say = on_progress or (lambda progress: None)
         for done, row in enumerate(calibrated((cell for cell, _ in chosen), session), start=1):
             if difference := _difference(before[row.key], row):
                 different.append(f"{_name(row)}: {difference}")
-            say(Progress("calibrate", done, len(chosen), failed=len(different), name=_name(row)))
+            session.say(Progress("calibrate", done, len(chosen), failed=len(different), name=_name(row)))
     stale = sum(count for state, count in states.items() if state not in (State.FRESH, State.MISSING))
     external = sum(row.method.external for row in rows)
     doubled = tuple(_doubled(rows, known))

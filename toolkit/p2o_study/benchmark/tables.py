@@ -1,16 +1,14 @@
-"""Tables of a suite in Markdown, rendered from its rows, and the marked parts of pages that they replace."""
+"""Tables of a suite in Markdown, rendered from its rows."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from p2o.errors import InputError, UnknownNameError
-from p2o.files.input_file import read_text
+from p2o.errors import UnknownNameError
 
+from p2o_study.benchmark.marks import Writer
 from p2o_study.benchmark.suite import SuiteFile
 from p2o_study.row import GIVEN, Row
 from p2o_study.rows import Rows
@@ -19,13 +17,6 @@ from p2o_study.tables import columns_of, error_table, markdown_table, md_text
 
 _WORDS = {"data": None, "methods": None, "columns": ("all", "brief"), "sections": ("apart", "together")}
 """Words of a mark and their values, None for names of the suite."""
-_PART = re.compile(
-    r"^(?P<head><!-- rows: (?P<suite>[a-z0-9._-]+)(?:, (?P<section>[^>;\n]+?))?(?P<filters>(?:; [^>;\n]+?)*) -->\n)"
-    r"(?:(?!^<!-- rows:).)*?(?P<tail>^<!-- /rows -->$)",
-    re.DOTALL | re.MULTILINE,
-)
-_HEAD = re.compile(r"^<!-- rows:", re.MULTILINE)
-_MARK = re.compile(r"^<!-- (?:rows:|record:|cards -->)", re.MULTILINE)
 _BRIEF = {"coverage 67 %", "coverage 95 %", "predicted 67 %"}
 """Columns that brief tables leave out."""
 
@@ -152,44 +143,18 @@ NOTE = (
 """How to read the tables."""
 
 
-def rendered(text: str, where: str, tables: Callable[[str], SuiteTables]) -> str:
-    """Return a page with its marked parts replaced; `tables` returns the tables of a suite.
+def rows_text(tables: Callable[[str], SuiteTables]) -> Writer:
+    """Return the writer of marked parts with rows; `tables` returns the tables of a suite."""
 
-    A table is between `<!-- rows: SUITE -->` and `<!-- /rows -->`. The mark may name a section and choose data sets and
-    methods: `<!-- rows: SUITE, SECTION; data: A, B; methods: X, Y; columns: brief -->`, and
-    `sections: together` makes one table of all. Raises InputError for a mark that is not valid or not closed.
-    """
-    starts = {part.start() for part in _PART.finditer(text)}
-    for head in _HEAD.finditer(text):
-        if head.start() not in starts:
-            raise InputError("a marked part is not valid", where=_place(text, where, head), expected=_EXPECTED)
+    def text(subject: str, choices: Mapping[str, str]) -> str:
+        suite, _, section = subject.partition(", ")
+        words: dict[str, Any] = {}
+        for name, value in choices.items():
+            known = _WORDS[name]
+            if known is not None and value not in known:
+                raise ValueError(value)
+            words[name] = tuple(value.split(", ")) if known is None else value
+        words["methods"] = tables(suite).labels_in(words.get("methods", ()))
+        return tables(suite).markdown(Choice(suite, section or None, **words))
 
-    def table(part: re.Match[str]) -> str:
-        filters: dict[str, Any] = {}
-        for words in filter(None, part["filters"].split("; ")):
-            name, _, values = words.partition(": ")
-            known = _WORDS.get(name, ())
-            if not values or (known is not None and values not in known):
-                raise InputError("a marked part is not valid", where=_place(text, where, part), expected=_EXPECTED)
-            filters[name] = tuple(values.split(", ")) if known is None else values
-        filters["methods"] = tables(part["suite"]).labels_in(filters.get("methods", ()))
-        choice = Choice(part["suite"], part["section"], **filters)
-        return f"{part['head']}{tables(choice.suite).markdown(choice)}{part['tail']}"
-
-    return _PART.sub(table, text)
-
-
-_EXPECTED = (
-    "<!-- rows: SUITE, SECTION; data: A, B; methods: X, Y --> on its own line (all but SUITE optional) and "
-    "<!-- /rows --> after it"
-)
-
-
-def _place(text: str, where: str, part: re.Match[str]) -> str:
-    return f"{where}:{text.count(chr(10), 0, part.start()) + 1}"
-
-
-def pages_with_marks(paths: Sequence[Path]) -> dict[Path, str]:
-    """Return the text of the pages that have a marked part, of rows, records or cards."""
-    texts = {path: read_text(path, "page") for path in paths}
-    return {path: text for path, text in texts.items() if _MARK.search(text)}
+    return text

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -28,16 +29,28 @@ jobs_option = click.option(
 )
 
 
+def cluster_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add --backend and --address to a command."""
+    text = "Scheduler of an existing dask or ray cluster."
+    command = click.option("--address", metavar="ADDRESS", help=text)(command)
+    kinds = click.Choice(["loky", "dask", "ray"])
+    return click.option("--backend", type=kinds, default="loky", help="Backend that runs the jobs.")(command)
+
+
+def data_options(text: str, owner: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Return a decorator that adds --data and --root, the data of a study or suite, to a command."""
+
+    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        root = f"Folder with the data; the {owner} names the path of each dataset in it."
+        command = click.option("--root", metavar="DIR", help=root)(command)
+        return click.option("--data", multiple=True, metavar="[NAME=]DATASET:PATH", help=text)(command)
+
+    return decorate
+
+
 @click.command("ablate")
 @click.argument("study", required=False)
-@click.option(
-    "--data",
-    "data",
-    multiple=True,
-    metavar="[NAME=]DATASET:PATH",
-    help="Run on these data; NAME selects one of several datasets.",
-)
-@click.option("--root", metavar="DIR", help="Folder with the data; the study names the path of each dataset in it.")
+@data_options("Run on these data; NAME selects one of several datasets.", "study")
 @click.option(
     "--frames",
     multiple=True,
@@ -50,15 +63,12 @@ jobs_option = click.option(
     "--out", type=click.Path(file_okay=False), metavar="DIR", help="Folder of the rows (default: p2o-out/STUDY)."
 )
 @click.option("--jobs", type=click.IntRange(min=1), metavar="N", help="Number of processes (default: one per core).")
-@click.option(
-    "--backend", type=click.Choice(["loky", "dask", "ray"]), default="loky", help="Backend that runs the jobs."
-)
+@cluster_options
 @click.option(
     "--isolate/--no-isolate",
     default=None,
     help="With --jobs 1: use a worker process, which a plugin may crash (default: if plugins are of other packages).",
 )
-@click.option("--address", metavar="ADDRESS", help="Scheduler of an existing dask or ray cluster.")
 @click.option(
     "--gate",
     type=click.Path(dir_okay=False),
