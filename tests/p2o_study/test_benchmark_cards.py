@@ -177,4 +177,4 @@ def test_cards_are_written_between_the_marks_of_a_page(tmp_path: Path, capsys: p
     assert text.endswith("\n<!-- /cards -->\n\nafter\n")
     page.write_text("<!-- cards -->\nnever closed\n")
     assert main(words) == 2
-    assert "page.md: the marked part of the cards is not valid" in capsys.readouterr().err
+    assert "page.md:1: a marked part is not valid" in capsys.readouterr().err

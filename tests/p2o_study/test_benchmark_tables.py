@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from p2o.cli import main
 from p2o.errors import UnknownNameError
+from p2o_study.benchmark.marks import rendered
 from p2o_study.benchmark.suite import find_suite
-from p2o_study.benchmark.tables import Choice, SuiteTables, rendered
+from p2o_study.benchmark.tables import Choice, SuiteTables, rows_text
 from p2o_study.worker import Plugins
 
 from tests.p2o_study.benchmark_board import QUICK_ROW, SUITE, Board
@@ -107,7 +108,8 @@ def test_labels_with_commas_are_chosen_by_their_whole_words(board: Board) -> Non
     page = "<!-- rows: tiny; methods: quick, 3 frames -->\n<!-- /rows -->\n"
     registry = Plugins.of((), (str(PLUGIN),)).registry()
     tables = SuiteTables.read(find_suite(str(board.root / "tiny.toml"), registry), board.results)
-    first = {line.split(" | ")[0] for line in rendered(page, "page.md", lambda suite: tables).splitlines()}
+    writers = {"rows": rows_text(lambda suite: tables)}
+    first = {line.split(" | ")[0] for line in rendered(page, "page.md", writers).splitlines()}
     assert "| quick, 3 frames" in first
     assert "| quick" not in first
     text = HEAD + QUICK_ROW.replace("witness", 'section = "one"\nwitness')
@@ -116,7 +118,7 @@ def test_labels_with_commas_are_chosen_by_their_whole_words(board: Board) -> Non
     apart = SuiteTables.read(find_suite(str(board.root / "tiny.toml"), registry), board.results)
     assert apart.markdown(Choice("tiny")).count("**") == 4
     assert apart.markdown(Choice("tiny", sections="together")).count("**") == 2
-    both = rendered(page.replace("frames", "frames, quick"), "page.md", lambda suite: tables)
+    both = rendered(page.replace("frames", "frames, quick"), "page.md", writers)
     assert "| quick |" in both
 
 

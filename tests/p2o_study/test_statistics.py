@@ -162,14 +162,15 @@ def test_intervals_that_overlap_share_a_group_also_through_a_third_one() -> None
 def test_rotations_and_translations_are_compared_each_with_its_own_bounds() -> None:
     """The first exceeds its 67 % bound in rotation only; the second both bounds of both; the third none."""
     figures = Statistics([run(), run(0.5, 0.2), run(0.199, 0.059)])
-    assert (figures.coverage.text_67, figures.coverage.text_95) == ("1/3 2/3", "2/3 2/3")
+    assert [figures.coverage.within[name.removeprefix("predicted_")] for name in BOUNDS] == [1, 2, 2, 2]
+    assert figures.coverage.count == 3
     assert figures.outside_95 == 1
     assert Statistics([run(0.5, 0.2, trust=Trust.DOUBTFUL)]).outside_95 == 0
 
 
 def test_a_row_without_a_bound_or_a_truth_is_not_counted_and_an_infinite_bound_covers() -> None:
     rows = [run(status="no-edges"), run(figures={}), run(truth=None)]
-    assert (Statistics(rows).coverage.count, Statistics([]).coverage.text_67) == (0, "-")
+    assert (Statistics(rows).coverage.count, Statistics([]).coverage.count) == (0, 0)
     boundless = run(3.0, figures={**BOUNDS, "predicted_rotation_deg": math.inf, "predicted_rotation_deg_95": math.inf})
     assert Statistics([boundless]).coverage.within["rotation_deg"] == 1
     assert Statistics([boundless]).outside_95 == 0

@@ -27,7 +27,7 @@ from p2o_study import worker
 from p2o_study.damage import STAGE as DAMAGE
 from p2o_study.damage import Damage
 from p2o_study.keys import features_key, method_content
-from p2o_study.row import GIVEN, UNREADABLE, Case, Environment, Planned, Row, frame_digest, rounded_pose
+from p2o_study.row import GIVEN, UNREADABLE, Case, Environment, Row, frame_digest, rounded_pose
 from p2o_study.row import Frame as FrameOfCase
 from p2o_study.row import Method as MethodOfRow
 from p2o_study.study import ALL_JOINT, BY_CAMERA, BY_RIG, MAX_SEEDS, StudyRow, with_place
@@ -94,11 +94,6 @@ class Method:
         words = {w: str(v) for w, v in self.described.items() if v and w not in _OF_CASE and isinstance(v, str)}
         options = {stage: values for stage, values in self.described["options"].items() if stage != "data"}
         return MethodOfRow(self.digest, words, options)
-
-    @property
-    def extractors(self) -> dict[str, tuple[str, str]]:
-        """Recipe and stage by part name, for each stage whose output can be cached."""
-        return {name: (self.recipe, stage) for stage, name, _ in self.prepared}
 
 
 @dataclass(frozen=True, eq=False)
@@ -307,18 +302,11 @@ InitialGuess = Callable[[str, Sequence[FrameRecord], Float | None, int], Float]
 
 @dataclass(frozen=True, eq=False)
 class Cell:
-    """One calibration: a row of the table on the frames of a group, and the methods that compute it."""
+    """One calibration: the row with all values that are known before, frames, and the methods that compute it."""
 
-    planned: Planned
+    row: Row
     method: Method
     group: Group
-
-    @property
-    def row(self) -> Row:
-        """The row with all values that are known before the calibration."""
-        planned = self.planned
-        known = {name: getattr(planned, name) for name in Planned.__dataclass_fields__}
-        return Row(**known, environment=Environment(versions=self.method.versions))
 
 
 class Cells(Sequence[Cell]):
@@ -372,7 +360,9 @@ class Cells(Sequence[Cell]):
         )
         guess = None if start is None else rounded_pose(start)
         key = content_hash([method.digest, seed, group.content, guess])[:_KEY_LENGTH]
-        return Cell(Planned(key, row.label, case, method.of_row, row.section), method, group)
+        environment = Environment(versions=method.versions)
+        planned = Row(key, row.label, case, method.of_row, row.section, environment=environment)
+        return Cell(planned, method, group)
 
     def place(self, position: int) -> tuple[OpenRow, Group, int]:
         """Return row, frames and seed of a calibration without building the cell."""
@@ -392,18 +382,15 @@ class Cells(Sequence[Cell]):
         return entry, last[2], entry.row.seeds[seed]
 
 
-class FeatureKeys:
+class FeatureKeys(dict[tuple[str, str], str]):
     """The cache keys of the features of frames; each is computed once for all seeds and rows."""
 
-    def __init__(self) -> None:
-        self._known: dict[tuple[str, str], str] = {}
-
-    def of(self, method: Method, records: FrameRecord) -> dict[str, str]:
+    def of(self, method: Method, record: FrameRecord) -> dict[str, str]:
         """Return by stage the cache key of the features of a frame, for stages whose output can be cached."""
         keys = {}
         for stage, name, part in method.prepared:
-            seen = name, records.inputs[INPUTS[stage]]
-            if seen not in self._known:
-                self._known[seen] = features_key(part, seen[1])
-            keys[stage] = self._known[seen]
+            content = record.inputs[INPUTS[stage]]
+            if (name, content) not in self:
+                self[name, content] = features_key(part, content)
+            keys[stage] = self[name, content]
         return keys

@@ -6,7 +6,6 @@ The calibrations are rows of a study with a dataset per group, so they are store
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -378,21 +377,19 @@ def _lost(job: JudgeJob, problem: BaseException) -> tuple[JudgeJob, Float, str]:
 
 def _costs(job: JudgeJob) -> Float:
     """Return the costs (P,): of directed edges if the judge has edges, else of its matcher; the features are cached."""
-    plan, cache = (
-        Recipe.of(**json.loads(job.recipe)).resolve(job.sources[0].plugins.registry()),
-        FeatureCache(job.cache),
-    )
+    plan, cache = worker.plan_of(job.sources[0].plugins, job.recipe), worker.BestEffortCache(job.cache)
     pipeline, views = plan.calibrator(), []
     assert isinstance(pipeline, Pipeline)
     for source in job.sources:
-        record = worker.read(ReadJob(source, job.cache, (), tuple((job.recipe, stage) for stage in _EXTRACTORS)))
+        record = worker.read(ReadJob(source, job.cache))
         if record.failure is not None or record.camera is None:
             raise InputError(record.reason, where=record.name)
-        keys = [(features_key(plan.parts[stage], record.inputs[INPUTS[stage]]), stage) for stage in _EXTRACTORS]
-        image, cloud = (cache.get(key, plan.parts[stage].offer) for key, stage in keys)
-        if image is None or cloud is None:
-            raise InputError("the features of the judge cannot be extracted or cached", where=record.name)
-        views.append(pipeline.view(record.name, record.camera, image.features, cloud.features, record.twist))
+        parts = [(stage, plan.parts[stage]) for stage in _EXTRACTORS]
+        keys = [features_key(part, record.inputs[INPUTS[stage]]) for stage, part in parts]
+        image, cloud = (
+            worker.prepared(cache, key, source, part, stage)[0] for key, (stage, part) in zip(keys, parts, strict=True)
+        )
+        views.append(pipeline.view(record.name, record.camera, image, cloud, record.twist))
     seen = pipeline.visible(views, job.around).corrected
     if pipeline.needs >= EDGES:
         return DirectedJudge.of(seen, job.around, list(job.poses), pipeline.options.judge_px).cost(job.poses)

@@ -306,15 +306,13 @@ class Study(_Table):
 class StudyRow:
     """One row of a study's table on one dataset.
 
-    `method_words` holds the words of the file (with names of variants), `words` those of the recipe without data,
-    frames, seed and joint. `joint` is the number of frames per joint calibration: 0 each alone, ALL_JOINT all,
-    BY_CAMERA all of one camera, BY_RIG all of all cameras of a rig.
+    `words` are those of the recipe without data, frames, seed and joint. `joint` is the number of frames per joint
+    calibration: 0 each alone, ALL_JOINT all, BY_CAMERA all of one camera, BY_RIG all of all cameras of a rig.
     """
 
     label: str
     section: str
     dataset: DatasetTable
-    method_words: Mapping[str, str]
     words: Mapping[str, Any]
     seeds: tuple[int, ...]
     joint: int
@@ -432,15 +430,11 @@ class _Expansion:
         self, label: str, words: Mapping[str, str], use: Sequence[str], scope: _Scope, options: Options | None = None
     ) -> list[StudyRow]:
         """Return the row once for each of its datasets."""
-        method_words = dict(words)
         sources: list[tuple[str, Words]] = []
         for name in use:
             if name not in self.variants:
                 raise UnknownNameError("variant", name, self.variants, where=f"{self.where}, row '{label}'")
             sources.append((f"variant '{name}'", self.variants[name]))
-            for word in METHOD_WORDS:
-                if getattr(self.variants[name], word) is not None:
-                    method_words.setdefault(word, name)
         plain: dict[str, Any] = {}
         for word, value in words.items():
             variant = self.variants.get(value)
@@ -459,14 +453,11 @@ class _Expansion:
             self._fail(f"row '{label}' has seeds {list(seeds)}", "different seeds, at least one")
         joint = self.study.joint if scope.joint is None else scope.joint
         frames = {False: 0, True: ALL_JOINT, "camera": BY_CAMERA, "rig": BY_RIG}.get(joint, joint)
-        for word in ("calibrator",) if "calibrator" in merged else STAGED_WORDS:
-            method_words.setdefault(word, merged.get(word, Recipe.model_fields[word].default))
         return [
             StudyRow(
                 label=label if len(self.study.dataset) == 1 else f"{label} @ {table.name}",
                 section=scope.section,
                 dataset=table,
-                method_words={word: value for word, value in method_words.items() if word in METHOD_WORDS},
                 words=merged,
                 seeds=seeds,
                 joint=int(frames),

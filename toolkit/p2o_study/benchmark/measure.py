@@ -19,7 +19,7 @@ import p2o
 from p2o.errors import UnknownNameError
 from p2o.geometry.pose_error import pose_error
 
-from p2o_study.ablate import Progress, calibrated, open_session
+from p2o_study.ablate import Progress, open_session
 from p2o_study.benchmark.suite import SuiteFile
 from p2o_study.cells import Cell, Method
 from p2o_study.row import Row
@@ -117,7 +117,7 @@ class _Known:
 
     def state(self, cell: Cell) -> tuple[State, Row | None]:
         """Return the state of a calibration and its row, the last measured one unless there is a fresh one."""
-        planned = cell.planned
+        planned = cell.row
         if (fresh := self.by_label.get((planned.key, planned.identity))) is not None:
             return State.FRESH, fresh
         row = self.by_identity.get(planned.identity)
@@ -129,15 +129,15 @@ class _Known:
 def _why_stale(cell: Cell, row: Row) -> State:
     if row.crashed:
         return State.CRASHED
-    if [f.content for f in row.case.frames] != [f.content for f in cell.planned.case.frames]:
+    if [f.content for f in row.case.frames] != [f.content for f in cell.row.case.frames]:
         return State.DATA
-    if row.method.revision != cell.planned.method.revision and not row.method.external:
+    if row.method.revision != cell.row.method.revision and not row.method.external:
         return State.METHOD
     return State.FRESH if row.method.external and _same_start(cell, row) else State.START
 
 
 def _same_start(cell: Cell, row: Row) -> bool:
-    starts = cell.planned.start, row.start
+    starts = cell.row.start, row.start
     return all(start is not None for start in starts) and np.allclose(*starts, rtol=0, atol=1e-6)  # type: ignore[arg-type]
 
 
@@ -187,14 +187,14 @@ def measure(
         try:
             cells = session.cells()
             for position, cell in enumerate(cells):
-                if sections and cell.planned.section not in sections:
+                if sections and cell.row.section not in sections:
                     continue
                 if not cell.group.readable:
                     unreadable += 1
                 elif known.state(cell)[0] is State.FRESH:
                     fresh += 1
-                elif cell.planned.key in same:
-                    results.put(suite.name, _labelled(same[cell.planned.key], cell))
+                elif cell.row.key in same:
+                    results.put(suite.name, _labelled(same[cell.row.key], cell))
                     shared += 1
                 else:
                     pending.append(position)
@@ -204,16 +204,16 @@ def measure(
         known, missing = _Known(results.each(suite.name)), 0
         for cell in (cells[position] for position in pending):
             # Two rows of the suite may be the same calibration, which is computed once.
-            if cell.planned.key in known.by_key and (cell.planned.key, cell.planned.identity) not in known.by_label:
-                results.put(suite.name, _labelled(known.by_key[cell.planned.key], cell))
-            missing += cell.planned.identity not in known.by_identity and cell.planned.key not in known.by_key
+            if cell.row.key in known.by_key and (cell.row.key, cell.row.identity) not in known.by_label:
+                results.put(suite.name, _labelled(known.by_key[cell.row.key], cell))
+            missing += cell.row.identity not in known.by_identity and cell.row.key not in known.by_key
     crashed = _crashed(results, suite.name) - before
     return Measured(fresh, shared + len(pending) - missing, shared, crashed, missing, unreadable, interrupted)
 
 
 def _labelled(row: Row, cell: Cell) -> Row:
     """Return a row under the labels of another calibration with the same key."""
-    return replace(row, **{name: getattr(cell.planned, name) for name in ("row", "section", "case", "method")})
+    return replace(row, **{name: getattr(cell.row, name) for name in ("row", "section", "case", "method")})
 
 
 def _crashed(results: Rows, suite: str) -> int:
@@ -234,11 +234,11 @@ def status_of(suite: SuiteFile, results: Rows, plugins: Plugins, **words: Any) -
         with open_session(suite.study.study, plugins, **{**words, "on_warning": lambda text: None}) as session:
             for cell in session.cells():
                 if not cell.group.readable:
-                    unreadable.append(cell.planned.dataset)
+                    unreadable.append(cell.row.dataset)
                     continue
-                asked[cell.planned.identity] = cell
-                asked.setdefault(_any_method(cell.planned.identity), cell)
-                entries.append(Entry.of(cell.planned, known.state(cell)[0]))
+                asked[cell.row.identity] = cell
+                asked.setdefault(_any_method(cell.row.identity), cell)
+                entries.append(Entry.of(cell.row, known.state(cell)[0]))
     revisions = _revisions(suite, plugins) if unchecked else {}
     surplus = len(rows) - len(known.by_identity)
     for row in known.by_identity.values():
@@ -250,7 +250,7 @@ def status_of(suite: SuiteFile, results: Rows, plugins: Plugins, **words: Any) -
             entries.append(Entry.of(row, State.CRASHED if row.crashed else State.FRESH if current else State.METHOD))
         elif same is None:
             surplus += 1
-    fresh = {cell.planned.key for cell in asked.values()}
+    fresh = {cell.row.key for cell in asked.values()}
     kept: dict[Any, Row] = {}
     for row in rows:
         before = kept.get(row.identity)
@@ -333,20 +333,22 @@ def recheck(suite: SuiteFile, results: Rows, *, sample: int, seed: int, **words:
     rows = list(results.each(suite.name))
     known = _Known(rows)
     states: Counter[State] = Counter()
-    fresh: list[tuple[Cell, Row]] = []
+    fresh: dict[int, Row] = {}
     missing = []
     with open_session(suite.study.study, **words) as session:
-        for cell in session.cells():
+        cells = session.cells()
+        for position, cell in enumerate(cells):
             state, row = known.state(cell)
             states[state] += 1
             if state is State.MISSING and cell.group.readable:
-                missing.append(_name(cell.planned))
+                missing.append(_name(cell.row))
             if row is not None and state is State.FRESH:
-                fresh.append((cell, row))
-        chosen = [fresh[i] for i in sorted(np.random.default_rng(seed).permutation(len(fresh))[:sample])]
-        before = {cell.planned.key: row for cell, row in chosen}
+                fresh[position] = row
+        places = list(fresh)
+        chosen = [places[i] for i in sorted(np.random.default_rng(seed).permutation(len(fresh))[:sample])]
+        before = {cells[position].row.key: fresh[position] for position in chosen}
         different: list[str] = []
-        for done, row in enumerate(calibrated((cell for cell, _ in chosen), session), start=1):
+        for done, row in enumerate(session.calibrated(cells, chosen), start=1):
             if difference := _difference(before[row.key], row):
                 different.append(f"{_name(row)}: {difference}")
             session.say(Progress("calibrate", done, len(chosen), failed=len(different), name=_name(row)))

@@ -13,7 +13,6 @@ from p2o.run.words import split_data
 from p2o_study.benchmark.suite import SuiteFile
 from p2o_study.report.overlays import drawn_run
 from p2o_study.row import Row
-from p2o_study.study import DatasetTable
 
 SYNTHETIC = "synthetic"
 """The dataset whose images may be published without a licence."""
@@ -31,7 +30,8 @@ class Overlays:
     def of(self, suite: SuiteFile, rows: Sequence[Row]) -> list[dict[str, str]]:
         """Return the overlays of rows in descending order of their errors: those of the first and the median one.
 
-        None is drawn for other data than synthetic ones, external methods, and more than `MAX_RUNS` runs.
+        They have name, frame, and images before and after as data URIs. None is drawn for other data than synthetic
+        ones, external methods, crashed rows, and more than `MAX_RUNS` runs.
         """
         tables = {table.name: table for table in suite.study.study.dataset}
         table = tables.get(rows[0].dataset)
@@ -39,20 +39,18 @@ class Overlays:
             return []
         shown = []
         for place, name in {len(rows) // 2: "median error", 0: "largest error"}.items():
-            if self.drawn + self.left_out < MAX_RUNS:
-                overlay = self._drawn(rows[place], table)
-                shown += [{"name": name, **overlay}] if overlay else []
-        return shown[::-1]
-
-    def _drawn(self, row: Row, table: DatasetTable) -> dict[str, str]:
-        """Return frame and images as data URIs at the initial guess and at the result; empty if they are left out."""
-        try:
-            if row.method.external or row.crashed:
-                raise P2OError("no features of the row can be drawn")
+            if self.drawn + self.left_out >= MAX_RUNS:
+                break
+            row = rows[place]
             named = replace(row, case=replace(row.case, data=SYNTHETIC, options=table.options))
-            frame, before, after = drawn_run(named, table.data, self.registry)
-        except P2OError:
-            self.left_out += 1
-            return {}
-        self.drawn += 1
-        return {"frame": f"{frame.name}, seed {row.seed}", "before": jpeg_uri(before), "after": jpeg_uri(after)}
+            try:
+                if row.method.external or row.crashed:
+                    raise P2OError("no features of the row can be drawn")
+                frame, before, after = drawn_run(named, table.data, self.registry)
+            except P2OError:
+                self.left_out += 1
+                continue
+            self.drawn += 1
+            frame_text = f"{frame.name}, seed {row.seed}"
+            shown.append({"name": name, "frame": frame_text, "before": jpeg_uri(before), "after": jpeg_uri(after)})
+        return shown[::-1]

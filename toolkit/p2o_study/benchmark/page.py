@@ -18,7 +18,6 @@ from p2o.host.slots import KIND_OF
 from p2o.page import page as html
 from p2o.page.page import Block, Column, brief, cell
 from p2o.page.plot import plot_of_table, table_panel
-from p2o.results.verdict import Trust
 from p2o.run.fit import FRAME_CONTENT
 from p2o.run.recipe import Recipe
 
@@ -28,9 +27,9 @@ from p2o_study.benchmark.tables import NOTE
 from p2o_study.compare import family_of
 from p2o_study.row import NORMS, Method, Row
 from p2o_study.rows import Rows
-from p2o_study.statistics import BOUNDS, WRONG, WRONG_TEXT, Interval, Statistics, brief_seconds, top_groups
+from p2o_study.statistics import WRONG, Statistic, Statistics, top_groups
 from p2o_study.study import DatasetTable
-from p2o_study.tables import name_of, unit_of
+from p2o_study.tables import FIGURES, RUN_COLUMNS, error_cell, name_of, unit_of, with_unit
 
 INDEX = "index.html"
 MAX_BYTES = 4_000_000
@@ -42,8 +41,7 @@ NO_NEEDS = "nothing beyond image and sweep"
 GROUPS_NOTE = (
     "Groups are top groups: methods whose 95 % intervals overlap, also through a third one, are in one group, which "
     "has no order. Only methods on the same frames, from the same initial error and with the same number of frames "
-    f"are compared. A false accept is a trusted result {WRONG_TEXT}. Coverage is the share of rotation errors, below "
-    "it that of translation errors, within the predicted ones; 67 % and 95 % are expected."
+    "are compared. Of the errors, 67 % and 95 % are expected within the predicted ones."
 )
 Card = Mapping[str, str]
 """A data card: texts by their heading, such as "sensor" and "licence"."""
@@ -61,24 +59,18 @@ def line_columns() -> list[Column]:
         name, (unit, _, digits) = name_of(norm), unit_of(norm)
         columns += [
             Column(f"{name} group", hide=2, looks={"1": "good"}, of=partial(_top_group, norm=norm)),
-            Column(f"{name} mean", unit, digits, hide=0, of=partial(_mean, norm=norm)),
-            Column(f"{name} median", unit, digits, hide=3, of=partial(_median, norm=norm)),
+            Column(f"{name} mean", unit, digits, hide=0, of=partial(_error, norm=norm, statistic="mean")),
+            Column(f"{name} median", unit, digits, hide=3, of=partial(_error, norm=norm, statistic="median")),
         ]
+    figures = {figure.name: figure.column for figure in FIGURES}
+    renamed = {"runs": "n", "frames": "distinct frames", "groups": "independent groups"}
     return [
         *columns,
-        Column("n", hide=4, of=lambda one: one.summary.count),
-        Column("distinct frames", hide=6, of=lambda one: one.summary.frames),
-        Column("independent groups", hide=6, of=lambda one: one.summary.groups),
-        Column("refused", hide=2, of=lambda one: one.summary.refused),
-        Column("trusted", hide=3, of=lambda one: one.summary.trusted if one.summary.judged else None),
-        Column("false accepts", hide=2, of=lambda one: one.summary.false_accepts if one.summary.judged else None),
-        Column("outside 95 %", hide=3, of=lambda one: one.summary.outside_95 if one.summary.judged else None),
-        Column("not moved", hide=5, of=lambda one: one.summary.unmoved),
-        Column("coverage 67 %", hide=5, of=partial(_covered, names=BOUNDS[:2])),
-        Column("coverage 95 %", hide=4, of=partial(_covered, names=BOUNDS[2:])),
-        Column(
-            "time", "s", hide=3, of=lambda one: cell(brief(one.summary.seconds), brief_seconds(one.summary.seconds))
+        *(
+            replace(figures[name], name=renamed.get(name, name), of=partial(_of_summary, figures[name]))
+            for name in _FIGURES
         ),
+        Column("time", "s", hide=3, of=partial(_of_summary, figures["time [s]"])),
         Column("suite", off=True, of=lambda one: one.suite.name),
         Column("data set", off=True, of=lambda one: one.data_title),
         Column("initial error", off=True, of=lambda one: one.protocol),
@@ -94,19 +86,22 @@ def line_columns() -> list[Column]:
     ]
 
 
+_FIGURES = (
+    *("runs", "frames", "groups", "not solved", "trusted", "false accepts", "outside 95 %", "not moved"),
+    *("coverage 67 %", "coverage 95 %"),
+)
+
+
+def _of_summary(column: Column, line: _Line) -> Any:
+    return None if column.of is None else column.of(line.summary)
+
+
 def _top_group(line: _Line, norm: str) -> int | None:
     return line.top_group.get(norm)
 
 
-def _mean(line: _Line, norm: str) -> Any:
-    mean = line.summary.mean(norm)
-    ends = [] if mean is None else [mean.value, mean.low, mean.high]
-    return html.interval([None if end is None else unit_of(norm)[1] * end for end in ends]) if ends else None
-
-
-def _median(line: _Line, norm: str) -> float | None:
-    median = line.summary.median(norm)
-    return None if median is None else brief(unit_of(norm)[1] * median.value)
+def _error(line: _Line, norm: str, statistic: Statistic) -> Any:
+    return error_cell(line.summary, norm, statistic)
 
 
 def _solved(line: _Line, norm: str) -> Any:
@@ -114,54 +109,9 @@ def _solved(line: _Line, norm: str) -> Any:
     return None if mean is None else cell(brief(factor * mean.value), html.number_text(factor * mean.value, digits))
 
 
-def _covered(line: _Line, names: Sequence[str]) -> Any:
-    coverage = line.summary.coverage
-    shares = [coverage.within[name] / coverage.count for name in names] if coverage.count else []
-    return cell(brief(shares[0]), *(f"{100 * share:.0f} %" for share in shares)) if shares else None
-
-
 def _start(line: _Line, norm: str) -> float | None:
     values = [value for row in line.rows if (value := row.start_error_of(norm)) is not None]
     return brief(float(np.mean(values))) if values else None
-
-
-RUN_COLUMNS = html.columns_of(
-    [
-        Column("frames", text=True, hide=0),
-        Column("seed", hide=4),
-        *(Column(name_of(norm), *unit_of(norm)[::2], hide=0) for norm in NORMS),
-        Column("status", text=True, hide=3),
-        Column("verdict", text=True, order=list(Trust), looks=html.TRUST_LOOKS),
-        *(
-            Column(f"{name_of(norm)} {what}", *unit_of(norm)[::2], hide=hide)
-            for what, hide in (("initial", 4), ("67 %", 3), ("95 %", 5))
-            for norm in NORMS
-        ),
-        Column("time", "s", 2, hide=4),
-        Column("names of frames", off=True),
-    ]
-)
-"""The columns of runs, in the order of `run_rows`."""
-
-
-def run_rows(rows: Sequence[Row]) -> list[list[Any]]:
-    """Return the cells of runs."""
-    shown = []
-    for row in rows:
-        errors = [_size(row.error_of(norm), norm) for norm in NORMS]
-        others = [_size(row.start_error_of(norm), norm) for norm in NORMS]
-        others += [_size(row.predicted(name), name.removesuffix("_95")) for name in BOUNDS]
-        words = [row.status.value, row.trust]
-        frames = ", ".join(row.frames) if len(row.frames) > 1 else None
-        seconds = None if row.total_s is None else brief(row.total_s)
-        shown.append([row.place, row.seed, *errors, *words, *others, seconds, frames])
-    return shown
-
-
-def _size(value: float | None, metric: str) -> Any:
-    if value is None:
-        return None
-    return cell(None, "unobservable") if value == np.inf else brief(unit_of(metric)[1] * value)
 
 
 # ---- the page
@@ -267,7 +217,8 @@ def write_page(
     cannot be written.
     """
     html.prepare_data(folder)
-    names, shared, columns = _Names(registry), html.Shared(), line_columns()
+    shared, columns = html.Shared(), line_columns()
+    known_methods: dict[str, tuple[str, list[str]]] = {}
     shown: list[_Line] = []
     rows: list[list[Any]] = []
     opens = []
@@ -283,7 +234,10 @@ def write_page(
                 known = own.get(line.dataset, {})
                 sensors = ", ".join(sorted({card["sensor"] for card in known.values() if card.get("sensor")}))
                 line.data_title = f"{line.dataset} ({sensors})" if sensors else line.dataset
-                line.family, line.needs = names.of(line.method)
+                key = line.same_method
+                if key not in known_methods:
+                    known_methods[key] = _family_and_needs(line.method, registry)
+                line.family, line.needs = known_methods[key]
                 line.top_group = {norm: groups[norm][number] for norm in NORMS}
                 cells = html.cells(columns, line)
                 size += len(json.dumps(cells))
@@ -344,8 +298,8 @@ def _runs(line: _Line, overlays: Overlays | None, shared: html.Shared) -> list[B
     drawn = [] if overlays is None else overlays.of(line.suite, rows)
     slides = [html.slides(f"run with the {one['name']}: {one['frame']}", one["before"], one["after"]) for one in drawn]
     table = html.table(
-        shared.use(RUN_COLUMNS),
-        run_rows(rows),
+        shared.use(html.columns_of(RUN_COLUMNS)),
+        [html.cells(RUN_COLUMNS, row) for row in rows],
         name="runs",
         search=True,
         counted=" runs, those with the largest errors first",
@@ -374,39 +328,28 @@ def _families(lines: Sequence[_Line]) -> Block:
 def _both_means(by_method: Mapping[Any, Mapping[str, _Line]], heading: str, key: tuple[str, str]) -> Any:
     line = by_method[key].get(heading)
     means = {} if line is None else {norm: mean for norm in NORMS if (mean := line.summary.mean(norm)) is not None}
-    texts = [f"{factor * mean.value:.{digits}f} {unit}" for unit, factor, digits, mean in _in_units(means)]
+    texts = [with_unit(mean.value, norm) for norm, mean in means.items()]
     return cell(brief(means[NORMS[0]].value), *texts) if texts else None
-
-
-def _in_units(means: Mapping[str, Interval]) -> list[tuple[str, float, int, Interval]]:
-    return [(*unit_of(norm), mean) for norm, mean in means.items()]
 
 
 def _plots(norm: str) -> Block:
     """Return the plots of the mean error of a norm over what it depends on."""
-    y, title = f"{name_of(norm)} mean", f"{name_of(norm)} error [{unit_of(norm)[0]}]"
-    start = (f"mean initial {name_of(norm)} error [{norm.rpartition('_')[2]}]", title)
+    title = f"{name_of(norm)} error [{unit_of(norm)[0]}]"
+    initial = f"mean initial {name_of(norm)} error [{norm.rpartition('_')[2]}]"
     same, below = ("suite", "data set", "name"), "Below the dashed line the error became smaller."
     note = "Lines connect rows of one method on one data set from one initial error."
-    return plot_of_table(
-        "rows",
-        [
-            table_panel("over time", "time", y, "name", ("median time of a calibration [s]", title)),
-            table_panel(
-                "over number of frames",
-                "frames",
-                y,
-                "name",
-                ("frames", title),
-                join=(*same, "initial error"),
-                note=note,
-            ),
-            table_panel(
-                "over initial error", _STARTS[norm], y, "name", start, join=(*same, "frames"), diagonal=True, note=below
-            ),
-            table_panel("over data set", "data set", y, "name", ("", title), categories=True),
-        ],
-    )
+    figures: dict[tuple[str, str], dict[str, Any]] = {
+        ("time", "median time of a calibration [s]"): {},
+        ("frames", "frames"): {"join": (*same, "initial error"), "note": note},
+        (_STARTS[norm], initial): {"join": (*same, "frames"), "diagonal": True, "note": below},
+        ("data set", ""): {"categories": True},
+    }
+    names = ("over time", "over number of frames", "over initial error", "over data set")
+    panels = [
+        table_panel(name, column, f"{name_of(norm)} mean", "name", (axis, title), **words)
+        for name, ((column, axis), words) in zip(names, figures.items(), strict=True)
+    ]
+    return plot_of_table("rows", panels)
 
 
 def _error_size(row: Row) -> float:
@@ -432,29 +375,16 @@ def _compared(suite: SuiteFile, results: Rows) -> list[list[_Line]]:
     return [list(some) for _, some in groupby(lines, key=lambda line: line.comparable)]
 
 
-class _Names:
-    """What the registry states of methods, by the words of a row."""
-
-    def __init__(self, registry: Registry) -> None:
-        self._registry = registry
-        self._known: dict[str, tuple[str, list[str]]] = {}
-
-    def of(self, method: Method) -> tuple[str, list[str]]:
-        """Return the family of a method, and the optional content of frames that it needs."""
-        if method.external:
-            return EXTERNAL, []
-        key = json.dumps(method.words, sort_keys=True)
-        if key not in self._known:
-            self._known[key] = self._resolved(method.words)
-        return self._known[key]
-
-    def _resolved(self, words: Mapping[str, str]) -> tuple[str, list[str]]:
-        try:
-            plan = Recipe.of(**words).resolve(self._registry)
-        except P2OError:
-            return UNKNOWN, []
-        needs = {word for stage, its in plan.parts.items() if stage in KIND_OF for word in its.offer.method.needs}
-        return family_of(plan), sorted(needs & FRAME_CONTENT.keys())
+def _family_and_needs(method: Method, registry: Registry) -> tuple[str, list[str]]:
+    """Return the family of a method, and the optional content of frames that it needs."""
+    if method.external:
+        return EXTERNAL, []
+    try:
+        plan = Recipe.of(**method.words).resolve(registry)
+    except P2OError:
+        return UNKNOWN, []
+    needs = {word for stage, part in plan.parts.items() if stage in KIND_OF for word in part.offer.method.needs}
+    return family_of(plan), sorted(needs & FRAME_CONTENT.keys())
 
 
 def common_name(labels: Sequence[str]) -> str:

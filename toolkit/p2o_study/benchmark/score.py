@@ -53,7 +53,7 @@ def starts_of(cells: Iterable[Cell]) -> dict[Key, Start]:
     starts: dict[Key, Start] = {}
     first: dict[Key, str] = {}
     for cell in cells:
-        planned, case = cell.planned, cell.planned.case
+        planned, case = cell.row, cell.row.case
         if cell.group.rig or case.start is None or not cell.group.readable:
             continue
         key = f"{case.dataset}: {case.place}", case.protocol, case.seed

@@ -13,7 +13,7 @@ from p2o_study.benchmark.suite import SuiteFile
 from p2o_study.row import GIVEN, Row
 from p2o_study.rows import Rows
 from p2o_study.statistics import MIN_FRAMES, WRONG_TEXT, Statistics
-from p2o_study.tables import columns_of, error_table, markdown_table, md_text
+from p2o_study.tables import error_table, figures_of, markdown_table, md_text
 
 _WORDS = {"data": None, "methods": None, "columns": ("all", "brief"), "sections": ("apart", "together")}
 """Words of a mark and their values, None for names of the suite."""
@@ -120,12 +120,12 @@ class SuiteTables:
         several = len({key.dataset for key in lines}) > 1
         if lines:
             left_out = {"within", "worse", "ambiguous", "doubtful", *(_BRIEF if choice.columns == "brief" else ())}
-            columns = columns_of(list(lines.values()), left_out | ({"start"} if len(drawn) < 2 else set()))
+            figures = figures_of(lines.values(), left_out | ({"start"} if len(drawn) < 2 else set()))
             rows = [
                 Statistics(row.rows, f"{key.label} @ {key.dataset}" if several else key.label, row.group_of)
                 for key, row in lines.items()
             ]
-            table = error_table(caption, rows, columns=columns, solved_only=choice.columns == "all", comparable=False)
+            table = error_table(caption, rows, figures=figures, solved_only=choice.columns == "all", comparable=False)
             text.append(markdown_table(table).rstrip("\n"))
         missing = sum(key in wanted and key not in lines for key in self.asked)
         if missing:

@@ -99,7 +99,7 @@ class _Bench:
 
 _OPTIONS: dict[str, Callable[[Any], Any]] = {
     "suites": click.option("--suites", metavar="DIR", help="Folder of suites (default: those of installed plugins)."),
-    "data": data_options("Run on these data; NAME selects one of several datasets.", "suite"),
+    "data": data_options,
     "results": click.option(
         "--results", default="benchmarks/results", show_default=True, metavar="DIR", help="Folder of the rows."
     ),

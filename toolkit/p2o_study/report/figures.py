@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
@@ -143,22 +142,14 @@ def figure_names(summaries: Sequence[Summary]) -> list[tuple[str, ...]]:
 
     Names are distinct and valid on every file system, for any names of studies in a foreign store.
     """
-    stems = distinct_names([summary.name for summary in summaries])
     taken: set[str] = set()
     names_of_groups = []
     for summary in summaries:
-        names = []
-        for number in range(1, len(summary.groups) + 1):
-            stem = stems[summary.name]
-            name = wanted = stem if len(summary.groups) == 1 else f"{stem}-{number}"
-            # The first group of a study "a" may clash with a study "a-1".
-            for again in itertools.count(2):
-                if name.lower() not in taken:
-                    break
-                name = f"{wanted}_{again}"
-            taken.add(name.lower())
-            names.append(name)
-        names_of_groups.append(tuple(names))
+        numbers = range(1, len(summary.groups) + 1)
+        wanted = [summary.name] if len(numbers) == 1 else [f"{summary.name}-{number}" for number in numbers]
+        names = tuple(distinct_names(wanted, taken).values())
+        taken.update(names)
+        names_of_groups.append(names)
     return names_of_groups
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
@@ -22,18 +22,30 @@ from p2o_study.report import figures
 from p2o_study.report.overlays import OverlayImages
 from p2o_study.report.series import RULE, differ_much
 from p2o_study.report.worst import error_rank, outcome_text, worst_run
-from p2o_study.row import METRICS, NORMS, Row
-from p2o_study.statistics import Comparison, Statistics, brief_seconds, trust_text
+from p2o_study.row import METRICS, Row
+from p2o_study.statistics import Statistic, Statistics, trust_text
 from p2o_study.study import Published
 from p2o_study.summary import Group, Summary
-from p2o_study.tables import DIGITS, NONE, NOTES, best, name_of, predicted_text, shown, unit_of
+from p2o_study.tables import (
+    NONE,
+    NOTES,
+    RUN_COLUMNS,
+    STATISTICS,
+    VERDICT,
+    error_cell,
+    figures_of,
+    in_unit,
+    leads,
+    name_of,
+    pair_columns,
+    unit_of,
+)
 
 _RUN_BYTES = 1_500_000
 """Maximum size of the single runs on the page, as JSON; about 1,000 runs."""
 _MOST_ROWS = 400
 _MOST_POINTS = 2000
 """Maximum number of points of the plot of errors by frame: rows times frames."""
-_VERDICT = Column("verdict", text=True, hide=2, order=list(Trust), looks=html.TRUST_LOOKS)
 
 
 # ---- what the page shows of a row, of a pair of rows and of a run
@@ -42,6 +54,8 @@ _VERDICT = Column("verdict", text=True, hide=2, order=list(Trust), looks=html.TR
 def row_columns(group: Group, summary: Summary) -> list[Column]:
     """Return the columns of the rows of a group; most are empty for published rows."""
     metrics = [(metric, None) for metric in summary.norms] + [(metric, "by axis") for metric in summary.axes]
+    verdict = Column("verdict", text=True, hide=3, of=lambda row: cell(row.trusted, trust_text(row.trust)))
+    figures = (figure.column for figure in figures_of(group.measured, _NOT_ON_PAGE))
     return [
         Column("row", text=True, hide=0, of=_label),
         *(
@@ -53,123 +67,48 @@ def row_columns(group: Group, summary: Summary) -> list[Column]:
                 of=partial(_figure, group=group, metric=metric, statistic=statistic),
             )
             for metric, option in metrics
-            for statistic in ("mean", "median")
+            for statistic in STATISTICS
         ),
-        _measured("verdict", 3, lambda row: _counts(row.trusted, trust_text(row.trust))),
-        _measured("false accepts", 3, lambda row: row.false_accepts if row.judged else None),
-        _measured("outside 95 %", 3, lambda row: row.outside_95 if row.judged else None),
-        _measured("predicted 67 %", 4, _predicted),
-        _measured("coverage 67 %", 4, lambda row: _covered(row, "rotation_deg", row.coverage.text_67)),
-        _measured("coverage 95 %", 4, lambda row: _covered(row, "rotation_deg_95", row.coverage.text_95)),
-        _measured(f"within {summary.within}", 3, lambda row: row.reached),
-        _measured("worse than start", 4, lambda row: row.worse if summary.within else None),
-        _measured("not moved", 4, lambda row: row.unmoved or None),
-        _measured("runs", 3, lambda row: row.count),
-        _measured("frames", 5, lambda row: row.frames),
-        _measured("not solved", 3, lambda row: cell(sum(row.failures.values()), _failures(row))),
+        *(replace(column, of=partial(_measured, column)) for column in (verdict, *figures)),
         Column("start", text=True, hide=6, of=_starts),
-        _measured("time [s]", 5, lambda row: _counts(row.seconds, brief_seconds(row.seconds))),
     ]
 
 
-def _measured(name: str, hide: int, of: Callable[[Statistics], Any]) -> Column:
-    """Return a column that is empty for published rows."""
-    text = name in ("verdict", "not solved")
-    return Column(name, text=text, hide=hide, of=lambda row: None if isinstance(row, Published) else of(row))
+_NOT_ON_PAGE = {"start", "groups", *Trust}
+
+
+def _measured(column: Column, row: Statistics | Published) -> Any:
+    """Return the cell of a measured row, None of a published one."""
+    return None if isinstance(row, Published) or column.of is None else column.of(row)
 
 
 def _label(row: Statistics | Published) -> Any:
     return cell(row.label, below=f"published: {row.source}") if isinstance(row, Published) else row.label
 
 
-def _failures(row: Statistics) -> str:
-    return ", ".join(f"{count} {status}" for status, count in row.failures.items()) or "0"
-
-
 def _starts(row: Statistics | Published) -> str:
     return row.start or NONE if isinstance(row, Published) else ", ".join(row.protocols) or NONE
 
 
-def _covered(row: Statistics, name: str, text: str) -> Any:
-    return _counts(row.coverage.within[name], text)
-
-
-def _predicted(row: Statistics) -> Any:
-    angle, _, length = predicted_text(row).partition(" deg ")
-    size = next(iter(row.predicted.values()), None)
-    return None if size is None else cell(brief(size), f"{angle} deg" if length else angle, length or None)
-
-
-def _counts(number: float, text: str) -> Any:
-    return None if text == NONE else cell(brief(number), text)
-
-
-def _figure(row: Statistics | Published, group: Group, metric: str, statistic: str) -> Any:
+def _figure(row: Statistics | Published, group: Group, metric: str, statistic: Statistic) -> Any:
     """Return the error of a row with its interval; the best ones of the complete rows of a group are bold."""
-    factor = unit_of(metric)[1]
     if isinstance(row, Published):
-        return brief(factor * row.values[metric]) if statistic == "mean" and metric in row.values else None
-    value = row.mean(metric) if statistic == "mean" else row.median(metric)
-    if value is None:
-        return None
-    first = best(group.measured, metric, "mean" if statistic == "mean" else "median")
-    leads = row.complete and first is not None and round(value.value, DIGITS) == first
-    ends = [None if end is None else factor * end for end in (value.value, value.low, value.high)]
-    return html.interval(ends, "strong" if leads else None)
-
-
-def pair_columns(summary: Summary) -> list[Column]:
-    """Return the columns of comparisons of two rows."""
-    other = " (other start)"
-    columns = [
-        Column("row", text=True, hide=0, of=lambda pair: pair.row),
-        Column("against", text=True, hide=0, of=lambda pair: pair.against + other * pair.other_start),
-    ]
-    for metric in summary.norms:
-        name, unit = name_of(metric), unit_of(metric)[0]
-        columns.append(Column(f"{name} median difference", unit, of=partial(_difference, metric=metric)))
-        columns.append(Column(f"{name} better", hide=2, of=partial(_better, metric=metric)))
-    return [*columns, Column("pairs", hide=3, of=lambda pair: pair.pairs)]
-
-
-def _difference(pair: Comparison, metric: str) -> Any:
-    if metric not in pair.differences:
-        return None
-    median = pair.differences[metric].median
-    return cell(brief(median.value), *shown(median, metric, sign=True).split(" ", 1))
-
-
-def _better(pair: Comparison, metric: str) -> Any:
-    difference = pair.differences.get(metric)
-    if difference is None:
-        return None
-    tied = f" ({100 * difference.tied:.0f} % tied)" if difference.tied else ""
-    return cell(brief(difference.better), f"{100 * difference.better:.0f} %{tied}")
+        return in_unit(row.values.get(metric), metric) if statistic == "mean" else None
+    return error_cell(row, metric, statistic, "strong" if leads(row, group.measured, metric, statistic) else None)
 
 
 def run_columns(images: OverlayImages) -> list[Column]:
     """Return the columns of runs; ▣ marks runs with overlays."""
     drawn = {key for key, _ in images.of}
-    hides = {metric: 2 if metric in NORMS else 5 for metric in METRICS}
+    frame, *others = RUN_COLUMNS
     return [
         Column("row", text=True, hide=0, of=lambda run: run.row),
-        Column("frame", text=True, hide=0, of=lambda run: f"{run.place}{' ▣' * (run.key in drawn)}"),
-        Column("seed", hide=4, of=lambda run: run.seed),
+        replace(frame, of=lambda run: f"{run.place}{' ▣' * (run.key in drawn)}"),
+        *others,
         Column("start", text=True, hide=6, of=lambda run: run.protocol),
-        Column("status", text=True, hide=3, of=lambda run: run.status if run.solved else cell(run.status, look="bad")),
-        replace(_VERDICT, hide=1, of=lambda run: run.trust),
-        *(
-            Column(name_of(metric), *unit_of(metric)[::2], hide=hide, of=partial(_error, metric=metric))
-            for metric, hide in hides.items()
-        ),
         Column("matches", hide=4, of=lambda run: sum(run.matches.values()) or None),
         Column("overlays", text=True, off=True, of=lambda run: "yes" if run.key in drawn else "no"),
     ]
-
-
-def _error(run: Row, metric: str) -> float | None:
-    value = run.error_of(metric)
-    return None if value is None else brief(unit_of(metric)[1] * value)
 
 
 def run_blocks(run: Row, images: OverlayImages, shared: html.Shared) -> Iterator[Block]:
@@ -350,7 +289,7 @@ def _group(group: Group, summary: Summary, chosen: _Runs, images: OverlayImages)
         blocks.append(
             html.section(
                 "Paired comparisons of rows",
-                html.table(pair_columns(summary), group.comparisons, name="pairs"),
+                html.table(pair_columns(summary.norms), group.comparisons, name="pairs"),
                 html.text(rule, "quiet"),
             )
         )
@@ -384,7 +323,7 @@ def _worst(group: Group, chosen: _Runs, images: OverlayImages) -> Block:
     columns = [
         Column("row", text=True, hide=0),
         Column("outcome", text=True, hide=0),
-        _VERDICT,
+        replace(VERDICT, of=None),
         Column("frame", text=True, hide=3),
     ]
     hint = [] if images.uris else [html.text("Overlays need the data: p2o report DIR --data DATASET:PATH", "quiet")]
