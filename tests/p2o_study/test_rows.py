@@ -34,7 +34,7 @@ def keyed(key: str, **values: Any) -> Row:
 
 
 def planned(*rows: Row, name: str = "table2") -> StoredStudy:
-    return StoredStudy(name, "", {}, (), plan_of(rows))
+    return StoredStudy(name, "", {}, plan_of(rows))
 
 
 def same(one: Any, other: Any) -> bool:

@@ -10,7 +10,6 @@ import os
 import re
 import time
 import warnings
-from array import array
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -87,38 +86,30 @@ def ablate(
     Raises a P2OError before any work if the study, its data or the plugins are invalid, and later if the store cannot
     be written. A calibration that raises is a row with status stage-failed; it is repeated the next time.
     """
-    stored = Rows(folder)
+    stored, name = Rows(folder), study.study.name
     stored.make_folder()
     with open_session(study.study, **words) as session, _first_process_lock(stored.folder) as forward:
         interrupted = False
         try:
             cells = session.cells(initial_guess)
             plan = plan_of(cell.row for cell in cells)
-            stored.begin(_stored_study(study, session.rows, overrides, plan))
-            pending = _pending([key for row in plan for key in row.keys], stored)
-            kept = len({key for row in plan for key in row.keys}) - len(pending)
+            stored.begin(StoredStudy(name, study.text, dict(overrides or {}), plan))
+            stored.refresh()
+            keys = enumerate(key for row in plan for key in row.keys)
+            # Two rows of the table may be the same calibration.
+            first = {key: position for position, key in reversed(list(keys))}
+            pending = sorted(position for key, position in first.items() if not stored.finished(key))
+            kept = len(first) - len(pending)
             if seeds_first:
-                pending = array("q", sorted(pending, key=lambda position: cells.place(position)[2]))
-            session.compute(cells, pending if forward else pending[::-1], stored, study.study.name, kept=kept)
+                pending.sort(key=lambda position: cells.place(position)[2])
+            session.compute(cells, pending if forward else pending[::-1], stored, name, kept=kept)
         except KeyboardInterrupt:
             interrupted = True
-        return _outcome(study, stored, session.computed, interrupted)
-
-
-def _pending(keys: Sequence[str], stored: Rows) -> array[int]:
-    """Return the positions of the keys that are not finished; two rows of the table may be the same calibration."""
-    stored.refresh()
-    first = {key: position for position, key in reversed(list(enumerate(keys)))}
-    return array("q", sorted(position for key, position in first.items() if not stored.finished(key)))
-
-
-def _outcome(study: StudyFile, stored: Rows, computed: int, interrupted: bool) -> Ablation:
-    name = study.study.name
-    if name not in stored.studies:  # interrupted before its plan was written
-        return Ablation(study, (), (), 0, interrupted)
-    count = sum(len(row.keys) for row in stored.study(name).plan)
-    rows = stored.planned(name, rounds=count <= MAX_CALIBRATIONS)
-    return Ablation(study, rows, stored.missing(name), computed, interrupted)
+        if name not in stored.studies:  # interrupted before its plan was written
+            return Ablation(study, (), (), 0, interrupted)
+        count = len(stored.study(name).keys)
+        rows = stored.planned(name, rounds=count <= MAX_CALIBRATIONS)
+        return Ablation(study, rows, stored.missing(name), session.computed, interrupted)
 
 
 @contextlib.contextmanager
@@ -286,41 +277,25 @@ class Session:
             self.on_warning(f"{cache_error}; features are extracted for each calibration until this is resolved")
 
 
-def _stored_study(
-    study: StudyFile, rows: Sequence[StudyRow], overrides: Mapping[str, Any] | None, plan: tuple[PlanRow, ...]
-) -> StoredStudy:
-    # Published rows whose row is left out are not part of the table.
-    shown = {label for row in rows for label in (row.label, row.label.rpartition(" @ ")[0])}
-    tables = [table for table in study.study.published if table.beside is None or table.beside in shown]
-    published = [table.model_dump(mode="json", exclude_none=True) for table in tables]
-    return StoredStudy(study.study.name, study.text, dict(overrides or {}), tuple(published), plan)
-
-
 @contextlib.contextmanager
 def _first_process_lock(folder: Path) -> Iterator[bool]:
     """Yield True for the first process on a folder, False for others, which compute the cells in reverse order."""
     try:
         import fcntl
-    except ImportError:  # Windows: both processes compute in the same order; rows of one replace equal ones
-        yield True
-        return
-    # The operating system releases the lock when the process ends.
-    try:
+
         handle = os.open(folder / ".running", os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
-    except OSError:  # the name is taken by something that is no file: processes cannot be distinguished
+    except (ImportError, OSError):  # Windows, or the name is taken: both compute in the same order
         yield True
         return
     first = True
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        first = False
-    except OSError:  # a file system without locks
-        pass
-    try:
+    with os.fdopen(handle):  # the operating system releases the lock when the process ends
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            first = False
+        except OSError:  # a file system without locks
+            pass
         yield first
-    finally:
-        os.close(handle)
 
 
 def parse_seeds(text: str) -> int | tuple[int, ...]:

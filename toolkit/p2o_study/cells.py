@@ -318,19 +318,19 @@ class Cells(Sequence[Cell]):
         records: Mapping[Source, FrameRecord],
         initial_guess: InitialGuess | None = None,
     ) -> None:
-        self._initial_guess = initial_guess
+        self._rows, self._initial_guess = rows, initial_guess
+        self._groups: list[list[Group]] = []
         known: dict[tuple[int, int], list[tuple[FrameRecord, ...]]] = {}
-        self._rows = rows
-        self._groups: list[list[tuple[FrameRecord, ...]]] = []
         for entry in rows:
+            joint, check = entry.row.joint, entry.first.recipe
             # Rows on the same frames share the groups.
-            its = entry.row.joint, id(entry.sources)
-            if its not in known:
-                known[its] = groups_of(entry.row.joint, [records[source] for source in entry.sources])
-            self._groups.append(known[its])
+            frames = joint, id(entry.sources)
+            if frames not in known:
+                known[frames] = groups_of(joint, [records[source] for source in entry.sources])
+            own = [Group(some, len(some) if joint else 0, check, joint == BY_RIG) for some in known[frames]]
+            self._groups.append(own)
         counts = (len(groups) * len(entry.row.seeds) for entry, groups in zip(rows, self._groups, strict=True))
         self._ends = list(accumulate(counts))
-        self._last: tuple[int, int, Group] | None = None
 
     def __len__(self) -> int:
         return self._ends[-1] if self._ends else 0
@@ -372,14 +372,7 @@ class Cells(Sequence[Cell]):
         at = bisect_right(self._ends, position)
         entry = self._rows[at]
         number, seed = divmod(position - (self._ends[at - 1] if at else 0), len(entry.row.seeds))
-        last = self._last
-        if last is None or last[:2] != (at, number):
-            records = self._groups[at][number]
-            joint, rig = len(records) if entry.row.joint else 0, entry.row.joint == BY_RIG
-            group = Group(records, joint, entry.first.recipe, rig)
-            # Successive cells are the seeds of a row on the same frames.
-            self._last = last = at, number, group
-        return entry, last[2], entry.row.seeds[seed]
+        return entry, self._groups[at][number], entry.row.seeds[seed]
 
 
 class FeatureKeys(dict[tuple[str, str], str]):

@@ -46,15 +46,11 @@ class PlanRow:
 
 @dataclass(frozen=True)
 class StoredStudy:
-    """A study as last started: the text of its file, the overrides `data` of the command line, and the plan.
-
-    `published` are the `[[published]]` tables of the file as mappings with label, source, values by metric, etc.
-    """
+    """A study as last started: the text of its file, the overrides `data` of the command line, and the plan."""
 
     name: Text
     toml: Annotated[str, Field(max_length=10_000_000)]
     data: Tree
-    published: tuple[Tree, ...]
     plan: tuple[PlanRow, ...] = ()
 
     @cached_property

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import subprocess
-from array import array
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -175,7 +174,7 @@ def measure(
     known, before, commit = _Known(results.each(suite.name)), _crashed(results, suite.name), source_version()
     from_others = [] if not suite.suite.share else [name for name in results.studies if name != suite.name]
     same = {**_Known(row for name in from_others for row in results.each(name)).by_key, **known.by_key}
-    pending = array("q")
+    pending: list[int] = []
     fresh = shared = unreadable = 0
     interrupted = False
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,33 +13,23 @@ from p2o.errors import InputError
 
 from p2o_study.cli.ablate import at_most_option, jobs_option, progress_shown
 
+_option = partial(click.option, show_default=True)
+
 
 @click.command("basin")
 @click.argument("methods", nargs=-1, required=True, metavar="METHOD...")
-@click.option("--data", default="synthetic:", show_default=True, metavar="DATASET:PATH", help="The data.")
-@click.option("--frames", default="all", show_default=True, metavar="SPEC", help="Which frames, as in `p2o run`.")
-@click.option(
-    "--rotations",
-    default="0.5,1,2,4,8",
-    show_default=True,
-    metavar="DEG,...",
-    help="Rotation errors of the initial guess.",
+@_option("--data", default="synthetic:", metavar="DATASET:PATH", help="The data.")
+@_option("--frames", default="all", metavar="SPEC", help="Which frames, as in `p2o run`.")
+@_option("--rotations", default="0.5,1,2,4,8", metavar="DEG,...", help="Rotation errors of the initial guess.")
+@_option(
+    "--translations", default="0.05,0.15,0.3,0.6", metavar="M,...", help="Translation errors of initial guesses."
 )
-@click.option(
-    "--translations",
-    default="0.05,0.15,0.3,0.6",
-    show_default=True,
-    metavar="M,...",
-    help="Translation errors of the initial guess.",
-)
-@click.option(
-    "--seeds", default=1, show_default=True, type=click.IntRange(1, 1000), help="Initial guesses per size and frame."
-)
-@click.option("--within", default="0.5deg 0.2m", show_default=True, metavar="SIZE", help="Maximum error of a success.")
+@_option("--seeds", default=1, type=click.IntRange(1, 1000), help="Initial guesses per size and frame.")
+@_option("--within", default="0.5deg 0.2m", metavar="SIZE", help="Maximum error of a success.")
 @at_most_option
 @click.option("--joint", is_flag=True, help="Calibrate all frames jointly.")
 @click.option("--study", metavar="STUDY", help="METHOD may be a label of a row of this study, with its options.")
-@click.option("--out", default="p2o-out/basin", show_default=True, metavar="DIR", help="Folder of rows and results.")
+@_option("--out", default="p2o-out/basin", metavar="DIR", help="Folder of rows and results.")
 @jobs_option
 @click.option("--quiet", is_flag=True, help="No progress.")
 @plugin_options
