@@ -21,9 +21,7 @@ _option = partial(click.option, show_default=True)
 @_option("--data", default="synthetic:", metavar="DATASET:PATH", help="The data.")
 @_option("--frames", default="all", metavar="SPEC", help="Which frames, as in `p2o run`.")
 @_option("--rotations", default="0.5,1,2,4,8", metavar="DEG,...", help="Rotation errors of the initial guess.")
-@_option(
-    "--translations", default="0.05,0.15,0.3,0.6", metavar="M,...", help="Translation errors of initial guesses."
-)
+@_option("--translations", default="0.05,0.15,0.3,0.6", metavar="M,...", help="Translation errors of initial guesses.")
 @_option("--seeds", default=1, type=click.IntRange(1, 1000), help="Initial guesses per size and frame.")
 @_option("--within", default="0.5deg 0.2m", metavar="SIZE", help="Maximum error of a success.")
 @at_most_option
