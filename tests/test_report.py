@@ -21,8 +21,7 @@ from p2o.page.plot import Panel
 from p2o.results.figures import figure_lines
 from p2o.results.verdict import Trust
 from p2o_study.report import write_report
-from p2o_study.report.figures import figures_of
-from p2o_study.report.series import convergence_of, differ_much, lifted
+from p2o_study.report.figures import convergence_of, differ_much, figures_of, lifted
 from p2o_study.report.worst import outcome_text, worst_run
 from p2o_study.row import Row
 from p2o_study.rows import PlanRow
@@ -121,7 +120,7 @@ def test_a_row_has_the_figures_of_its_runs() -> None:
     [group] = summary_of(frames(6, "ours", [0.5, 1.5])).groups
     [row] = group.rows
     assert isinstance(row, Statistics)
-    assert (row.count, row.frames, row.seeds, row.failures) == (12, 6, 2, {})
+    assert (row.count, row.frames, row.failures) == (12, 6, {})
     assert np.isclose(row.average("rotation_deg"), 1.0)
     assert np.isclose(row.average("translation_m"), 0.1)
     # The axis of `run_of`, (2, 1, -2) / 3 in the LiDAR frame: roll about its x, pitch about its -y, yaw about its -z.

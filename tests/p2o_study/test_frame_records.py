@@ -16,7 +16,6 @@ from tests.study_bench import PLUGIN
 
 DATA = "synthetic:?place=room&width_px=96&height_px=64&lidar=vlp-16&right=false"
 JOINED = '["poses@p2o-calib", {}]'
-ON_BOARDS = '{"data": "synthetic:", "calibrator": "acsc", "witness": "none"}'
 
 
 def source(data: str = DATA, options: str = "{}", index: int = 0, accumulate: str = "") -> Source:
@@ -66,13 +65,6 @@ def test_a_damaged_file_of_the_cache_is_rendered_again(
     [file] = tmp_path.rglob("*.npz")
     file.write_bytes(file.read_bytes()[:100])
     assert rendered(job) is not None
-
-
-def test_what_a_frame_lacks_is_reported_also_with_a_cached_record(tmp_path: Path) -> None:
-    read(ReadJob(source(), tmp_path))
-    for _ in range(2):
-        record = read(ReadJob(source(), tmp_path, checks=(ON_BOARDS,)))
-        assert "the frame has no targets" in record.missing_inputs[ON_BOARDS]
 
 
 def test_frames_of_files_and_of_other_datasets_are_read_each_time(tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ from p2o_study.cells import Cell, Cells, FeatureKeys, InitialGuess, OpenRow, ope
 from p2o_study.parallel import Run, Workers
 from p2o_study.row import Row
 from p2o_study.rows import PlanRow, Rows, StoredStudy, plan_of
-from p2o_study.study import LARGEST_SEED, MAX_ROWS, MAX_SEEDS, Study, StudyFile, StudyRow, check_study
+from p2o_study.study import LARGEST_SEED, MAX_ROWS, MAX_SEEDS, Study, StudyFile, StudyRow, check_study, with_place
 from p2o_study.worker import CalibrateJob, ExtractJob, FrameRecord, Plugins, ReadJob, Source
 
 Phase = Literal["read", "extract", "calibrate"]
@@ -162,22 +162,20 @@ class Session:
 
         Raises InputError if the first frame of a row lacks an input of the row's methods.
         """
-        checks: dict[Source, set[str]] = {}
         firsts: dict[Source, list[OpenRow]] = {}
         for entry in self.opened:
             firsts.setdefault(entry.sources[0], []).append(entry)
-            for source in entry.sources:
-                checks.setdefault(source, set()).add(entry.first.recipe)
         # The first frames of rows come first, because they may refuse the study.
-        ordered = sorted(checks, key=lambda source: source not in firsts)
-        jobs = [ReadJob(source, self.cache.root, tuple(sorted(checks[source]))) for source in ordered]
+        sources = dict.fromkeys([*firsts, *(source for entry in self.opened for source in entry.sources)])
+        jobs = [ReadJob(source, self.cache.root) for source in sources]
         records: dict[Source, FrameRecord] = {}
         with contextlib.closing(self.run(worker.read, jobs, worker.read_failed)) as finished:
             for record in finished:
-                for entry in firsts.get(record.source, ()):
-                    if entry.first.recipe in record.missing_inputs:
-                        where = f"{entry.row.where}, row '{entry.row.label}'"
-                        raise InputError(record.missing_inputs[entry.first.recipe], where=where)
+                for entry in firsts.get(record.source, ()) if record.failure is None else ():
+                    try:
+                        entry.first.plan.check_contents(record.name, frozenset(record.contents))
+                    except InputError as problem:
+                        raise with_place(problem, f"{entry.row.where}, row '{entry.row.label}'") from problem
                 records[record.source] = record
                 self._warn_once(record.cache_error)
                 self.say(Progress("read", len(records), len(jobs), name=record.name))

@@ -9,6 +9,7 @@ import itertools
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,8 @@ from p2o.run.presets import Preset, preset_of
 from p2o_study.row import Row
 from p2o_study.statistics import by_label, is_within
 from p2o_study.study import Study, StudyFile, parse_study
+
+_MAPS_IN_ROW = 4
 
 
 def contender_of(text: str, study: Study | None, registry: Registry) -> Preset:
@@ -132,3 +135,33 @@ def basin_of(contender: Preset, grid: Grid, rows: Sequence[Row]) -> Basin:
         shares_of_cells.append([*(x / count if count else np.nan for x in shares), count])
     table = np.array(shares_of_cells, dtype=np.float64).T.reshape(4, *shape)
     return Basin(contender.name, *table)
+
+
+def heat_maps(basins: Sequence[Basin], grid: Grid, path: Path) -> None:
+    """Write a PNG of the shares of successes (R, T) of basins; cells without a share (NaN) are empty.
+
+    Raises InputError if the file cannot be written.
+    """
+    from p2o.page.figure import figure_with_panels, save_figure
+
+    rows, columns = grid.rotations_deg, grid.translations_m
+    across = min(_MAPS_IN_ROW, len(basins))
+    down = -(-len(basins) // across)
+    size = (1.6 + across * (0.9 + 0.55 * len(columns)), 1.2 + down * (0.9 + 0.45 * len(rows)))
+    figure, panels = figure_with_panels(size, down, across, squeeze=False)
+    axes = panels.ravel()
+    for axis, basin in zip(axes, basins, strict=False):
+        axis.imshow(basin.success, vmin=0, vmax=1, cmap="viridis", origin="lower", aspect="auto")
+        for (i, j), share in np.ndenumerate(basin.success):
+            if np.isfinite(share):
+                colour = "w" if share < 0.6 else "k"
+                axis.text(j, i, f"{100 * share:.0f}", ha="center", va="center", fontsize=8, color=colour)
+        axis.set_xticks(range(len(columns)), [f"{x:g}" for x in columns], fontsize=8)
+        axis.set_yticks(range(len(rows)), [f"{x:g}" for x in rows], fontsize=8)
+        axis.set_title(basin.name.replace("$", r"\$"), fontsize=10)
+        axis.set_xlabel("translation, m", fontsize=8)
+        axis.set_ylabel("rotation error of the initial guess, deg", fontsize=8)
+    for axis in axes[len(basins) :]:
+        axis.set_visible(False)
+    figure.suptitle(f"% of calibrations that end within {grid.within}", fontsize=11)
+    save_figure(figure, path)

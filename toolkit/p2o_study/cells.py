@@ -230,13 +230,13 @@ def _of_one_camera(first: FrameRecord, other: FrameRecord) -> bool:
 class Group:
     """Frames of one calibration of a row; `joint` is their number, 0 for a single frame.
 
-    `check` is the recipe (JSON) whose required inputs are checked. The frames of a `rig` are those of all its cameras;
+    `plan` has the methods whose required inputs are checked. The frames of a `rig` are those of all its cameras;
     its poses are camera_from_lidar of the camera of the first frame.
     """
 
     records: tuple[FrameRecord, ...]
     joint: int
-    check: str
+    plan: Plan
     rig: bool = False
 
     @cached_property
@@ -278,14 +278,16 @@ class Group:
         frames = [[frame.name, frame.content] for frame in map(frame_of, self.records)]
         return content_hash({"joint": bool(self.joint), "frames": frames, "rig": self.rig})
 
-    @property
+    @cached_property
     def failure(self) -> tuple[str, str] | None:
         """Reason and traceback of the first frame that cannot be read or lacks a required input."""
         for record in self.records:
             if record.failure is not None:
                 return record.reason, record.failure
-            if self.check in record.missing_inputs:
-                return record.missing_inputs[self.check], record.missing_inputs[self.check]
+            try:
+                self.plan.check_contents(record.name, frozenset(record.contents))
+            except InputError as problem:
+                return str(problem), str(problem)
         return None
 
 
@@ -322,12 +324,12 @@ class Cells(Sequence[Cell]):
         self._groups: list[list[Group]] = []
         known: dict[tuple[int, int], list[tuple[FrameRecord, ...]]] = {}
         for entry in rows:
-            joint, check = entry.row.joint, entry.first.recipe
+            joint, plan = entry.row.joint, entry.first.plan
             # Rows on the same frames share the groups.
             frames = joint, id(entry.sources)
             if frames not in known:
                 known[frames] = groups_of(joint, [records[source] for source in entry.sources])
-            own = [Group(some, len(some) if joint else 0, check, joint == BY_RIG) for some in known[frames]]
+            own = [Group(some, len(some) if joint else 0, plan, joint == BY_RIG) for some in known[frames]]
             self._groups.append(own)
         counts = (len(groups) * len(entry.row.seeds) for entry, groups in zip(rows, self._groups, strict=True))
         self._ends = list(accumulate(counts))

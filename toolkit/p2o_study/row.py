@@ -234,6 +234,11 @@ class Row:
         """What is measured, whatever the revision of the method: section, data set, label, protocol, seed, frames."""
         return (self.section, self.dataset, self.row, self.protocol, self.seed, self.frames)
 
+    def named(self) -> dict[str, str | int]:
+        """Return what identifies the calibration for a reader, for JSON."""
+        names = ("dataset", "section", "row", "place", "protocol", "seed")
+        return {name: getattr(self, name) for name in names}
+
     @property
     def solved(self) -> bool:
         """True if `estimate` is a new pose and not the initial guess."""

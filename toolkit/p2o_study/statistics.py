@@ -200,11 +200,6 @@ class Statistics:
         return {**dict(sorted(counts.items())), **({NOT_RUN: self.waiting} if self.waiting else {})}
 
     @cached_property
-    def places(self) -> tuple[str, ...]:
-        """The frames, or groups of jointly calibrated frames, in the order of first occurrence."""
-        return tuple(dict.fromkeys(row.place for row in self.rows))
-
-    @cached_property
     def frames(self) -> int:
         """Number of distinct frames."""
         return len({(row.dataset, name) for row in self.rows for name in row.frames})
@@ -213,11 +208,6 @@ class Statistics:
     def groups(self) -> int:
         """Number of independent groups."""
         return len(set(self._groups))
-
-    @cached_property
-    def seeds(self) -> int:
-        """Number of different seeds."""
-        return len({row.seed for row in self.rows})
 
     @cached_property
     def protocols(self) -> tuple[str, ...]:

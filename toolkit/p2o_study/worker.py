@@ -33,7 +33,7 @@ from p2o.host.slots import WITNESS
 from p2o.results.figures import figure_values
 from p2o.results.result import Result, Status
 from p2o.run.assembly import INPUTS, Assembly, given
-from p2o.run.fit import FRAME_CONTENT
+from p2o.run.fit import contents_of
 from p2o.run.joined import JoinedFrames
 from p2o.run.pipeline import Pipeline
 from p2o.run.read_again import FrameInfo, ReadAgain
@@ -97,11 +97,10 @@ class Source:
 
 @dataclass(frozen=True)
 class ReadJob:
-    """A job to read a frame: `checks` are recipes (JSON) whose inputs are checked."""
+    """A job to read a frame."""
 
     source: Source
     cache: Path
-    checks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,9 +108,9 @@ class FrameRecord:
     """The data of a frame that planning needs; `inputs` are content hashes of its parts.
 
     `digests` are hashes of image, sweep and calibration that are equal on all machines (`portable_hash`), `contents`
-    the words for its optional content, such as "rings". Hashes of a computed frame are those of its `Identity`.
-    `missing_inputs` describes by recipe of the `checks` what the frame lacks. For a frame that cannot be read,
-    `failure` is the traceback and `reason` one line. `cache_error` is the reason if features could not be cached.
+    the words for its optional content, such as "rings". Hashes of a computed frame are those of its `Identity`. For a
+    frame that cannot be read, `failure` is the traceback and `reason` one line. `cache_error` is the reason if features
+    could not be cached.
     """
 
     source: Source
@@ -124,7 +123,6 @@ class FrameRecord:
     warnings: tuple[str, ...] = ()
     digests: Mapping[str, str] = field(default_factory=dict)
     contents: tuple[str, ...] = ()
-    missing_inputs: Mapping[str, str] = field(default_factory=dict)
     reason: str = ""
     failure: str | None = None
     cache_error: str = ""
@@ -179,51 +177,28 @@ _OF_FRAME = ("camera", "camera_from_lidar", "start", "camera_name", "twist", "wa
 def read(job: ReadJob) -> FrameRecord:
     """Read a frame and return its record; a frame that cannot be read has a `failure`.
 
-    A computed frame is not rendered if the cache has its record and the methods need no other content than it has.
-    Frames that are files are read each time.
+    A computed frame is not rendered if the cache has its record. Frames that are files are read each time.
     """
     source, cache = job.source, BestEffortCache(job.cache)
     try:
         identity = identity_of(source)
-        if (record := _cached_record(job, cache, identity)) is not None:
-            return record
+        key = "" if identity is None else content_hash([_RECORD_FORMAT, ALGORITHM, identity])
+        if key and (kept := cache.get(key)) is not None:
+            return FrameRecord(source, **kept.features)
         frame = _frame(source)
         values = {name: getattr(frame, name) for name in _OF_FRAME}
         values |= {
             "inputs": input_hashes(frame) if identity is None else identity.input_hashes,
             "digests": content_digests(frame) if identity is None else identity.content_digests,
-            "contents": tuple(word for word, find in FRAME_CONTENT.items() if find(frame) is not None),
+            "contents": tuple(sorted(contents_of(frame))),
         }
-        missing = {recipe: _missing_input(plan_of(source.plugins, recipe), frame) for recipe in job.checks}
     except KeyboardInterrupt:
         raise
     except BaseException as problem:  # also SystemExit, which would end the worker
         return _failed_record(source, _one_line(problem), traceback.format_exc())
-    if identity is not None:
-        cache.put(_record_key(identity), values, 0.0)
-    missing_inputs = {recipe: text for recipe, text in missing.items() if text}
-    return FrameRecord(source, **values, missing_inputs=missing_inputs, cache_error=cache.cache_error)
-
-
-def _cached_record(job: ReadJob, cache: FeatureCache, identity: Identity | None) -> FrameRecord | None:
-    """Return the record of a computed frame from the cache; None if a method needs content that the frame lacks."""
-    kept = None if identity is None else cache.get(_record_key(identity))
-    if kept is None or not {word for recipe in job.checks for word in _needed_by(job, recipe)} <= {
-        *kept.features["contents"]
-    }:
-        return None
-    return FrameRecord(job.source, **kept.features)
-
-
-def _record_key(identity: Identity) -> str:
-    return content_hash([_RECORD_FORMAT, ALGORITHM, identity])
-
-
-def _needed_by(job: ReadJob, recipe: str) -> set[str]:
-    """Return the words for the optional content of frames that the methods of a recipe need."""
-    parts = plan_of(job.source.plugins, recipe).parts.items()
-    needs = (part.offer.method.needs for stage, part in parts if stage not in WITNESS)
-    return set[str]().union(*needs) & FRAME_CONTENT.keys()
+    if key:
+        cache.put(key, values, 0.0)
+    return FrameRecord(source, **values, cache_error=cache.cache_error)
 
 
 def read_failed(job: ReadJob, problem: P2OError) -> FrameRecord:
@@ -310,14 +285,6 @@ def portable_hash(value: Any) -> str:
     return content_hash(
         [[list(path) if isinstance(path, tuple) else path, rounded(leaf)] for path, leaf in leaves(value)]
     )
-
-
-def _missing_input(plan: Plan, frame: Frame) -> str:
-    try:
-        plan.check_frame(frame)
-    except InputError as problem:
-        return str(problem)
-    return ""
 
 
 def extract(job: ExtractJob) -> Extracted:

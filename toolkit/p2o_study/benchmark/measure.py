@@ -5,13 +5,13 @@ from __future__ import annotations
 import subprocess
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from math import isclose
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import p2o
@@ -42,23 +42,11 @@ class State(StrEnum):
     START = "initial guess changed"
 
 
-@dataclass(frozen=True, slots=True)
-class Entry:
-    """One calibration of a suite and the state of its row."""
+class Entry(NamedTuple):
+    """One calibration of a suite, planned or finished, and the state of its row."""
 
-    dataset: str
-    section: str
-    row: str
-    place: str
-    protocol: str
-    seed: int
+    row: Row
     state: State
-
-    @classmethod
-    def of(cls, planned: Any, state: State) -> Entry:
-        """Return the entry of a planned or finished calibration."""
-        names = (planned.dataset, planned.section, planned.row, planned.place, planned.protocol, planned.seed)
-        return cls(*names, state)
 
 
 @dataclass(frozen=True)
@@ -94,7 +82,7 @@ class SuiteStatus:
         return {
             "suite": self.suite,
             "counts": {state.value: self.count(state) for state in State},
-            "outdated": [asdict(entry) for entry in self.outdated],
+            "outdated": [{**row.named(), "state": state.value} for row, state in self.outdated],
             "unchecked_datasets": list(self.unchecked),
             "surplus_rows": self.surplus,
             "unreadable": self.unreadable,
@@ -132,12 +120,10 @@ def _why_stale(cell: Cell, row: Row) -> State:
         return State.DATA
     if row.method.revision != cell.row.method.revision and not row.method.external:
         return State.METHOD
-    return State.FRESH if row.method.external and _same_start(cell, row) else State.START
-
-
-def _same_start(cell: Cell, row: Row) -> bool:
     starts = cell.row.start, row.start
-    return all(start is not None for start in starts) and np.allclose(*starts, rtol=0, atol=1e-6)  # type: ignore[arg-type]
+    known = all(start is not None for start in starts)
+    same_start = known and np.allclose(*starts, rtol=0, atol=1e-6)  # type: ignore[arg-type]
+    return State.FRESH if row.method.external and same_start else State.START
 
 
 @dataclass(frozen=True)
@@ -171,14 +157,16 @@ def measure(
         if section not in names:
             raise UnknownNameError("section", section, names, where=suite.source)
     results.make_folder()
-    known, before, commit = _Known(results.each(suite.name)), _crashed(results, suite.name), source_version()
+    known, commit = _Known(results.each(suite.name)), source_version()
     from_others = [] if not suite.suite.share else [name for name in results.studies if name != suite.name]
     same = {**_Known(row for name in from_others for row in results.each(name)).by_key, **known.by_key}
     pending: list[int] = []
-    fresh = shared = unreadable = 0
+    fresh = shared = unreadable = crashed = 0
     interrupted = False
 
     def as_stored(row: Row) -> Row:
+        nonlocal crashed
+        crashed += row.crashed
         environment = replace(row.environment, commit=commit, measured_by=measured_by)
         return replace(row.brief(), environment=environment)
 
@@ -206,17 +194,12 @@ def measure(
             if cell.row.key in known.by_key and (cell.row.key, cell.row.identity) not in known.by_label:
                 results.put(suite.name, _labelled(known.by_key[cell.row.key], cell))
             missing += cell.row.identity not in known.by_identity and cell.row.key not in known.by_key
-    crashed = _crashed(results, suite.name) - before
     return Measured(fresh, shared + len(pending) - missing, shared, crashed, missing, unreadable, interrupted)
 
 
 def _labelled(row: Row, cell: Cell) -> Row:
     """Return a row under the labels of another calibration with the same key."""
     return replace(row, **{name: getattr(cell.row, name) for name in ("row", "section", "case", "method")})
-
-
-def _crashed(results: Rows, suite: str) -> int:
-    return sum(row.crashed for row in results.each(suite))
 
 
 def status_of(suite: SuiteFile, results: Rows, plugins: Plugins, **words: Any) -> SuiteStatus:
@@ -237,16 +220,16 @@ def status_of(suite: SuiteFile, results: Rows, plugins: Plugins, **words: Any) -
                     continue
                 asked[cell.row.identity] = cell
                 asked.setdefault(_any_method(cell.row.identity), cell)
-                entries.append(Entry.of(cell.row, known.state(cell)[0]))
+                entries.append(Entry(cell.row, known.state(cell)[0]))
     revisions = _revisions(suite, plugins) if unchecked else {}
     surplus = len(rows) - len(known.by_identity)
     for row in known.by_identity.values():
         same = asked.get(_asked_by(row))
         if same is not None and row.method.external:
-            entries.append(Entry.of(row, _why_stale(same, row)))
+            entries.append(Entry(row, _why_stale(same, row)))
         elif same is None and row.dataset in unchecked and (row.method.external or (row.section, row.row) in revisions):
             current = row.method.external or row.method.revision in revisions[row.section, row.row]
-            entries.append(Entry.of(row, State.CRASHED if row.crashed else State.FRESH if current else State.METHOD))
+            entries.append(Entry(row, State.CRASHED if row.crashed else State.FRESH if current else State.METHOD))
         elif same is None:
             surplus += 1
     fresh = {cell.row.key for cell in asked.values()}

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from p2o.draw.image_uri import jpeg_uri
 from p2o.errors import P2OError
 from p2o.files.whole_file import write_whole
 from p2o.host.registry import Registry
@@ -20,11 +21,12 @@ from p2o.page.page import Block, Column, brief, cell
 from p2o.page.plot import plot_of_table, table_panel
 from p2o.run.fit import FRAME_CONTENT
 from p2o.run.recipe import Recipe
+from p2o.run.words import split_data
 
-from p2o_study.benchmark.overlays import Overlays
 from p2o_study.benchmark.suite import SuiteFile
 from p2o_study.benchmark.tables import NOTE
 from p2o_study.compare import family_of
+from p2o_study.report.overlays import drawn_run
 from p2o_study.row import NORMS, Method, Row
 from p2o_study.rows import Rows
 from p2o_study.statistics import WRONG, Statistic, Statistics, top_groups
@@ -112,6 +114,50 @@ def _solved(line: _Line, norm: str) -> Any:
 def _start(line: _Line, norm: str) -> float | None:
     values = [value for row in line.rows if (value := row.start_error_of(norm)) is not None]
     return brief(float(np.mean(values))) if values else None
+
+
+# ---- overlays
+
+SYNTHETIC = "synthetic"
+"""The dataset whose images may be published without a licence."""
+MAX_RUNS = 400
+
+
+@dataclass
+class Overlays:
+    """Draws overlays and counts them: `drawn`, and `left_out`, whose methods or frames are not those of the rows."""
+
+    registry: Registry
+    drawn: int = 0
+    left_out: int = 0
+
+    def of(self, suite: SuiteFile, rows: Sequence[Row]) -> list[dict[str, str]]:
+        """Return the overlays of rows in descending order of their errors: those of the first and the median one.
+
+        They have name, frame, and images before and after as data URIs. None is drawn for other data than synthetic
+        ones, external methods, crashed rows, and more than `MAX_RUNS` runs.
+        """
+        tables = {table.name: table for table in suite.study.study.dataset}
+        table = tables.get(rows[0].dataset)
+        if table is None or split_data(table.data)[0] != SYNTHETIC:
+            return []
+        shown = []
+        for place, name in {len(rows) // 2: "median error", 0: "largest error"}.items():
+            if self.drawn + self.left_out >= MAX_RUNS:
+                break
+            row = rows[place]
+            named = replace(row, case=replace(row.case, data=SYNTHETIC, options=table.options))
+            try:
+                if row.method.external or row.crashed:
+                    raise P2OError("no features of the row can be drawn")
+                frame, before, after = drawn_run(named, table.data, self.registry)
+            except P2OError:
+                self.left_out += 1
+                continue
+            self.drawn += 1
+            frame_text = f"{frame.name}, seed {row.seed}"
+            shown.append({"name": name, "frame": frame_text, "before": jpeg_uri(before), "after": jpeg_uri(after)})
+        return shown[::-1]
 
 
 # ---- the page

@@ -54,9 +54,8 @@ def command(
     from p2o.geometry.perturb import parse_perturbation
 
     from p2o_study.ablate import ablate
-    from p2o_study.basin import Grid, basin_of, basin_study, contender_of
+    from p2o_study.basin import Grid, basin_of, basin_study, contender_of, heat_maps
     from p2o_study.parallel import Workers
-    from p2o_study.report.heat_maps import heat_maps
     from p2o_study.study import find_study
     from p2o_study.worker import Plugins
 

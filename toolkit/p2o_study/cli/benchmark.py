@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from p2o_study.worker import Plugins
 
 _SHOWN = 20
-_NAMES = ("row", "section", "dataset", "place", "protocol", "seed", "finished")
 _MAX_SEED = 2**32 - 1
 
 
@@ -209,7 +208,7 @@ def _status_text(status: SuiteStatus) -> str:
     lines = [f"{status.suite}: {', '.join(counts) or 'no rows'}"]
     if status.unchecked:
         lines.append(f"  without data (--root DIR or --data), compared by method only: {', '.join(status.unchecked)}")
-    lines += _listed([f"  {e.state.value}: {e.row}, {e.place}, {e.protocol}, seed {e.seed}" for e in status.outdated])
+    lines += _listed([f"  {state}: {r.row}, {r.place}, {r.protocol}, seed {r.seed}" for r, state in status.outdated])
     return "\n".join(map(printable, lines))
 
 
@@ -237,7 +236,7 @@ def prune(bench: _Bench, suite: str, dry_run: bool, as_json: bool) -> int:
         bench.rows.rewrite(file.name, status.kept)
         unused = bench.rows.remove_unused()
     if as_json:
-        removable = [{name: getattr(row, name) for name in _NAMES} for row in rows]
+        removable = [{**row.named(), "finished": row.finished} for row in rows]
         print_json({"suite": file.name, "dry_run": dry_run, "rows": removable, "unused": unused})
         return 0
     lines = _listed([f"  {row.row}, {row.dataset} {row.place}, {row.protocol}, seed {row.seed}" for row in rows])
@@ -383,8 +382,7 @@ def page(bench: _Bench, out: str, overlays: bool, cards: str) -> int:
     p2o benchmark page --out p2o-out/benchmark/page
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
     from p2o_study.benchmark.card import read_cards
-    from p2o_study.benchmark.overlays import Overlays
-    from p2o_study.benchmark.page import write_page
+    from p2o_study.benchmark.page import Overlays, write_page
 
     registry = bench.plugins.registry()
     tell = (lambda name: None) if bench.quiet else (lambda name: click.echo(f"suite {name}", err=True))

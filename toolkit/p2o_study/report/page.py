@@ -6,8 +6,8 @@ import itertools
 import json
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,6 @@ from p2o.results.verdict import Trust
 
 from p2o_study.report import figures
 from p2o_study.report.overlays import OverlayImages
-from p2o_study.report.series import RULE, differ_much
 from p2o_study.report.worst import error_rank, outcome_text, worst_run
 from p2o_study.row import METRICS, Row
 from p2o_study.statistics import Statistic, Statistics, trust_text
@@ -190,25 +189,13 @@ def page(summaries: Sequence[Summary], images: OverlayImages) -> str:
         )
         for summary, own in zip(summaries, chosen, strict=True)
     }
-    notes = [html.text(note, "quiet") for note in (*NOTES, RULE)]
+    notes = [html.text(note, "quiet") for note in (*NOTES, figures.RULE)]
     title = summaries[0].title if len(summaries) == 1 else "p2o report"
     return html.page(title, [html.choice("study", studies), html.section("How to read it", *notes)], shared=shared)
 
 
-@dataclass(eq=False)
-class _Runs:
-    """The runs of a group on the page: (row, place in the row) to the run and what it opens."""
-
-    taken: dict[tuple[int, int], tuple[Row, dict[str, Any]]] = field(default_factory=dict)
-
-    def number(self, row: int, place: int) -> int | None:
-        """Return the place of a run in the table, None if it is not on the page."""
-        return self.numbers.get((row, place))
-
-    @cached_property
-    def numbers(self) -> Mapping[tuple[int, int], int]:
-        """The places in the table, once all runs are chosen."""
-        return {place: number for number, place in enumerate(sorted(self.taken))}
+Opened = dict[int, dict[str, Any]]
+"""What the runs of a group on the page open, by the id of the run."""
 
 
 def _with_first_rows(summaries: Sequence[Summary]) -> list[Summary]:
@@ -228,41 +215,41 @@ def _with_first_rows(summaries: Sequence[Summary]) -> list[Summary]:
     return [summary for summary in out if summary.groups]
 
 
-def _chosen_runs(summaries: Sequence[Summary], images: OverlayImages, shared: html.Shared) -> list[list[_Runs]]:
+def _chosen_runs(summaries: Sequence[Summary], images: OverlayImages, shared: html.Shared) -> list[list[Opened]]:
     """Return the runs on the page: the worst run of each row, then the next worst of each, up to `_RUN_BYTES`."""
-    chosen = [[_Runs() for _ in summary.groups] for summary in summaries]
+    chosen = [[Opened() for _ in summary.groups] for summary in summaries]
     drawn = {key for key, _ in images.of}
     queues = []
     for own, summary in zip(chosen, summaries, strict=True):
-        for runs, group in zip(own, summary.groups, strict=True):
-            for row, some in enumerate(measured.rows for measured in group.measured):
-                order = sorted(range(len(some)), key=lambda i: error_rank(some[i]), reverse=True)
+        for opened, group in zip(own, summary.groups, strict=True):
+            for measured in group.measured:
+                order = sorted(measured.rows, key=error_rank, reverse=True)
                 # The worst run of a row is always its first, those with overlays are next.
-                order[1:] = sorted(order[1:], key=lambda i: some[i].key not in drawn)
-                queues.append([(runs, row, place, some[place]) for place in order])
+                order[1:] = sorted(order[1:], key=lambda run: run.key not in drawn)
+                queues.append([(opened, run) for run in order])
     left = _RUN_BYTES
-    turns = (entry for turn in itertools.zip_longest(*queues) for entry in turn if entry is not None)
-    for runs, row, place, run in turns:
+    for opened, run in (entry for turn in itertools.zip_longest(*queues) for entry in turn if entry is not None):
         before = shared.size
-        opened = html.detail(f"{run.row}, {run.place}, seed {run.seed}", *run_blocks(run, images, shared))
-        left -= len(html.plain_json(opened)) + shared.size - before
+        detail = html.detail(f"{run.row}, {run.place}, seed {run.seed}", *run_blocks(run, images, shared))
+        left -= len(html.plain_json(detail)) + shared.size - before
         if left < 0:
             break
-        runs.taken[row, place] = (run, opened)
+        opened[id(run)] = detail
     return chosen
 
 
-def _study(summary: Summary, chosen: Sequence[_Runs], images: OverlayImages, title: str) -> list[Block]:
+def _study(summary: Summary, chosen: Sequence[Opened], images: OverlayImages, title: str) -> list[Block]:
     note = " ".join([summary.note, *(f"{line}." for line in summary.pooled)]).strip()
     groups = {
-        group.heading or f"rows {number}": _group(group, summary, runs, images)
-        for number, (group, runs) in enumerate(zip(summary.groups, chosen, strict=True), 1)
+        group.heading or f"rows {number}": _group(group, summary, opened, images)
+        for number, (group, opened) in enumerate(zip(summary.groups, chosen, strict=True), 1)
     }
     return [html.section(title, html.text(note, "quiet"), html.choice("rows", groups))]
 
 
-def _group(group: Group, summary: Summary, chosen: _Runs, images: OverlayImages) -> list[Block]:
-    taken = [chosen.taken[place] for place in chosen.numbers]
+def _group(group: Group, summary: Summary, opened: Opened, images: OverlayImages) -> list[Block]:
+    taken = [run for row in group.measured for run in row.rows if id(run) in opened]
+    numbers = {id(run): number for number, run in enumerate(taken)}
     opens = [None if isinstance(row, Published) else html.rows_of("runs", row=row.label) for row in group.rows]
     looks = ["published" if isinstance(row, Published) else None for row in group.rows]
     some = len(group.rows) > 30
@@ -275,9 +262,9 @@ def _group(group: Group, summary: Summary, chosen: _Runs, images: OverlayImages)
                 "quiet",
             ),
         ),
-        _worst(group, chosen, images),
+        _worst(group, numbers, images),
         html.section(
-            "Errors", html.choice("of", {_named(metric): _errors(group, metric, chosen) for metric in METRICS})
+            "Errors", html.choice("of", {_named(metric): _errors(group, metric, numbers) for metric in METRICS})
         ),
     ]
     panels = figures.rounds(group)
@@ -299,27 +286,25 @@ def _group(group: Group, summary: Summary, chosen: _Runs, images: OverlayImages)
         counted += f", the worst of each row; all {total} runs are in {summary.name}.jsonl"
     runs = html.table(
         run_columns(images),
-        [run for run, _ in taken],
+        taken,
         name="runs",
         search=True,
         filters=["row", "status", "verdict", "overlays"],
-        opens=[opened for _, opened in taken],
+        opens=[opened[id(run)] for run in taken],
         counted=counted,
     )
     return [*blocks, html.section("Runs", runs)]
 
 
-def _worst(group: Group, chosen: _Runs, images: OverlayImages) -> Block:
+def _worst(group: Group, numbers: Mapping[int, int], images: OverlayImages) -> Block:
     """Return the worst run of each row with its outcome in words, and its overlays."""
     rows, opens, drawn = [], [], []
-    for row, (label, runs) in enumerate((measured.label, measured.rows) for measured in group.measured):
-        place = runs.index(worst_run(runs)) if runs else -1
-        number = chosen.number(row, place)
-        if number is not None:
-            run, _ = chosen.taken[row, place]
-            rows.append([label, outcome_text(run), run.trust, f"{run.place}, seed {run.seed}"])
-            opens.append(html.row_of("runs", number))
-            drawn += [html.part(label, one) for one in overlays_of(run, images)[:1]]
+    for measured in group.measured:
+        run = worst_run(measured.rows) if measured.rows else None
+        if run is not None and id(run) in numbers:
+            rows.append([measured.label, outcome_text(run), run.trust, f"{run.place}, seed {run.seed}"])
+            opens.append(html.row_of("runs", numbers[id(run)]))
+            drawn += [html.part(measured.label, one) for one in overlays_of(run, images)[:1]]
     columns = [
         Column("row", text=True, hide=0),
         Column("outcome", text=True, hide=0),
@@ -331,16 +316,16 @@ def _worst(group: Group, chosen: _Runs, images: OverlayImages) -> Block:
     return html.section("The worst run of each row", table, *([html.grid(*drawn)] if drawn else hint))
 
 
-def _errors(group: Group, metric: str, chosen: _Runs) -> list[Block]:
+def _errors(group: Group, metric: str, numbers: Mapping[int, int]) -> list[Block]:
     """Return the plots of a metric: of all runs, on a linear or logarithmic axis, and by frame."""
     note = "All runs: quartiles, whiskers of 1.5 interquartile ranges, single points beyond for the runs below."
     scales = {}
     for name, log in (("linear", False), ("logarithmic: sizes without signs", True)):
-        boxes = figures.boxes(group, metric, log=log, opens=chosen.number)
+        boxes = figures.boxes(group, metric, log=log, opens=numbers)
         scales[name] = [plot([replace(boxes, note=note)])]
-    first = differ_much(figures.errors_of(row, metric) for row in group.measured)
+    first = figures.differ_much(figures.errors_of(row, metric) for row in group.measured)
     note = "Median and range over the seeds by frame. Of many frames, those with the largest errors."
-    frames = replace(figures.by_frame(group, metric, _largest(group), chosen.number), note=note)
+    frames = replace(figures.by_frame(group, metric, _largest(group), numbers), note=note)
     return [html.grid(html.choice("scale", scales, first=int(first)), plot([frames]))]
 
 
