@@ -13,7 +13,7 @@ from p2o_study.benchmark.card import FOLDER, page_text, read_cards
 from p2o_study.benchmark.measure import status_of
 from p2o_study.benchmark.suite import SuiteFile, find_suite, suites
 from p2o_study.rows import Rows
-from p2o_study.study import DatasetTable, StudyFile
+from p2o_study.study import DatasetTable
 from p2o_study.worker import Plugins
 
 from tests.study_bench import PLUGIN
@@ -51,7 +51,7 @@ def folder(tmp_path: Path, text: str = CARD) -> str:
 def test_every_data_set_of_a_suite_has_one_card(name: str) -> None:
     suite = find_suite(name, p2o.Registry.load(environ={}), SUITES)
     cards = read_cards(ROOT / FOLDER)
-    for table in suite.study.study.dataset:
+    for table in suite.study.dataset:
         owners = [card for card in cards if cards[card].covers(table)]
         assert len(owners) == 1, f"{table.name}: {owners}"
         assert set(table.split) <= set(cards[owners[0]].lists)
@@ -95,10 +95,10 @@ def small(table: DatasetTable) -> DatasetTable:
 @pytest.mark.parametrize("name", [name for name in suites(p2o.Registry.load(environ={})) if name != "smoke"])
 def test_every_suite_is_planned_without_data(name: str, tmp_path: Path) -> None:
     file = find_suite(name, p2o.Registry.load(environ={}), SUITES)
-    study = file.study.study
+    study = file.study
     real = {table.name for table in study.dataset if not table.data.startswith("synthetic:")}
     study = study.model_copy(update={"dataset": tuple(map(small, study.dataset))})
-    reduced = SuiteFile(file.suite, StudyFile(study, file.study.text, file.study.source), file.source)
+    reduced = SuiteFile(file.suite, study, file.source)
     status = status_of(reduced, Rows(tmp_path), plugins=Plugins())
     assert set(status.unchecked) == real
     assert status.unreadable == status.surplus == 0

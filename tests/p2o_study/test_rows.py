@@ -34,7 +34,7 @@ def keyed(key: str, **values: Any) -> Row:
 
 
 def planned(*rows: Row, name: str = "table2") -> StoredStudy:
-    return StoredStudy(name, "", {}, plan_of(rows))
+    return StoredStudy(name, {}, plan_of(rows))
 
 
 def same(one: Any, other: Any) -> bool:
@@ -270,7 +270,7 @@ def edited(old: str, new: str) -> Callable[[Path], None]:
         ("table2.jsonl", a_device, "the file of rows is a device"),
         ("table2.json", a_device, "the plan of the study is a device"),
         ("table2.json", edited('"plan": [', '"plan": ["x", '), "the plan of the study is not valid"),
-        ("table2.json", edited("[[published]]", "[[publisht]]"), "publisht"),
+        ("table2.json", edited('"published"', '"publisht"'), "publisht"),
         ("table2.jsonl", edited("{", "7\n{"), "table2.jsonl:1: the line is no row"),
         ("table2.jsonl", edited('"key"', '"__class__":"os","key"'), "table2.jsonl:1: the line is no valid record"),
         ("table2.jsonl", edited('"converged"', '"verged"'), "status"),

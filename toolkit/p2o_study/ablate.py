@@ -25,7 +25,7 @@ from p2o_study.cells import Cell, Cells, FeatureKeys, InitialGuess, OpenRow, ope
 from p2o_study.parallel import Run, Workers
 from p2o_study.row import Row
 from p2o_study.rows import PlanRow, Rows, StoredStudy, plan_of
-from p2o_study.study import LARGEST_SEED, MAX_ROWS, MAX_SEEDS, Study, StudyFile, StudyRow, check_study, with_place
+from p2o_study.study import LARGEST_SEED, MAX_ROWS, MAX_SEEDS, Study, StudyRow, check_study, with_place
 from p2o_study.worker import CalibrateJob, ExtractJob, FrameRecord, Plugins, ReadJob, Source
 
 Phase = Literal["read", "extract", "calibrate"]
@@ -60,7 +60,6 @@ class Ablation:
     More than MAX_CALIBRATIONS rows have no rounds, to save memory.
     """
 
-    study: StudyFile
     rows: Sequence[Row]
     missing: Sequence[PlanRow]
     computed: int
@@ -68,32 +67,30 @@ class Ablation:
 
 
 def ablate(
-    study: StudyFile,
+    study: Study,
     folder: str | Path,
     *,
-    overrides: Mapping[str, Any] | None = None,
     initial_guess: InitialGuess | None = None,
     seeds_first: bool = False,
     **words: Any,
 ) -> Ablation:
     """Run a study and return its outcome; the rows are written to the store in `folder`.
 
-    `overrides` are recorded in the store as the differences from the study file. `initial_guess` replaces the initial
-    guesses of the rows. With `seeds_first` all rows are computed with one seed before the next, so that an interrupted
-    study has all rows. The other words are those of `open_session`. Ctrl-C ends the study with `interrupted`; finished
-    rows are kept.
+    `initial_guess` replaces the initial guesses of the rows. With `seeds_first` all rows are computed with one seed
+    before the next, so that an interrupted study has all rows. The other words are those of `open_session`. Ctrl-C ends
+    the study with `interrupted`; finished rows are kept.
 
     Raises a P2OError before any work if the study, its data or the plugins are invalid, and later if the store cannot
     be written. A calibration that raises is a row with status stage-failed; it is repeated the next time.
     """
-    stored, name = Rows(folder), study.study.name
+    stored, name = Rows(folder), study.name
     stored.make_folder()
-    with open_session(study.study, **words) as session, _first_process_lock(stored.folder) as forward:
+    with open_session(study, **words) as session, _first_process_lock(stored.folder) as forward:
         interrupted = False
         try:
             cells = session.cells(initial_guess)
             plan = plan_of(cell.row for cell in cells)
-            stored.begin(StoredStudy(name, study.text, dict(overrides or {}), plan))
+            stored.begin(StoredStudy(name, study.model_dump(mode="json", exclude_defaults=True), plan))
             stored.refresh()
             keys = enumerate(key for row in plan for key in row.keys)
             # Two rows of the table may be the same calibration.
@@ -106,10 +103,10 @@ def ablate(
         except KeyboardInterrupt:
             interrupted = True
         if name not in stored.studies:  # interrupted before its plan was written
-            return Ablation(study, (), (), 0, interrupted)
+            return Ablation((), (), 0, interrupted)
         count = len(stored.study(name).keys)
         rows = stored.planned(name, rounds=count <= MAX_CALIBRATIONS)
-        return Ablation(study, rows, stored.missing(name), session.computed, interrupted)
+        return Ablation(rows, stored.missing(name), session.computed, interrupted)
 
 
 @contextlib.contextmanager

@@ -6,8 +6,7 @@ A basin is a study whose rows are methods x sizes of the start error; it is stor
 from __future__ import annotations
 
 import itertools
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,7 @@ from p2o.run.presets import Preset, preset_of
 
 from p2o_study.row import Row
 from p2o_study.statistics import by_label, is_within
-from p2o_study.study import Study, StudyFile, parse_study
+from p2o_study.study import Study, study_of
 
 _MAPS_IN_ROW = 4
 
@@ -68,35 +67,20 @@ class Grid:
 
 def basin_study(
     contenders: Sequence[Preset], grid: Grid, data: str, frames: str, seeds: int, joint: int | bool
-) -> StudyFile:
+) -> Study:
     """Return the study of a basin: one row for each method and size of the start error, named by `label`."""
     rows = [
         {"label": label(contender, cell), "section": contender.name, **contender.words, "perturb": str(cell)}
         | ({"options": contender.options} if contender.options else {})
         for contender, cell in itertools.product(contenders, grid.cells)
     ]
-    content = {"title": "Basins of attraction", "seeds": seeds, "joint": joint, "row": rows}
-    return study_file("basin", {**content, "dataset": [{"name": "data", "data": data, "frames": frames}]})
-
-
-def study_file(name: str, content: Mapping[str, Any]) -> StudyFile:
-    """Return the study of this name with the content of a study file."""
-    text = "".join(f"{key} = {toml_value(value)}\n" for key, value in {"name": name, **content}.items())
-    return StudyFile(parse_study(text, name), text, name)
+    content = {"name": "basin", "title": "Basins of attraction", "seeds": seeds, "joint": joint, "row": rows}
+    return study_of({**content, "dataset": [{"name": "data", "data": data, "frames": frames}]}, "basin")
 
 
 def label(contender: Preset, cell: Perturbation) -> str:
     """Return the label of the row of a method and a size of the start error."""
     return f"{contender.name} from {cell}"
-
-
-def toml_value(value: Any) -> str:
-    """Return a value as TOML, with inline tables."""
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{name} = {toml_value(inner)}" for name, inner in value.items()) + " }"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(toml_value, value)) + "]"
-    return repr(value) if isinstance(value, float) else json.dumps(value)
 
 
 @dataclass(frozen=True, eq=False)

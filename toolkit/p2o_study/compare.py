@@ -33,14 +33,13 @@ from p2o_study import ablate as studies
 from p2o_study import comparison as figures
 from p2o_study import worker
 from p2o_study.ablate import MAX_CALIBRATIONS, Ablation
-from p2o_study.basin import study_file
 from p2o_study.cells import OpenRow, open_rows
 from p2o_study.comparison import MIN_GROUPS
 from p2o_study.keys import features_key
 from p2o_study.parallel import Workers
 from p2o_study.row import NORMS, Row
 from p2o_study.statistics import Statistics
-from p2o_study.study import StudyFile, check_study
+from p2o_study.study import Study, check_study, study_of
 from p2o_study.worker import FrameRecord, Plugins, ReadJob, Source
 
 JUDGES = {"edges": "ours", "nid": "nid"}
@@ -81,9 +80,10 @@ def split_frames(data: str, frames: str, groups: int, registry: Registry) -> lis
     return [indices[first::groups] for first in range(groups)]
 
 
-def compare_study(contenders: Sequence[Preset], data: str, groups: Sequence[Sequence[int]], seeds: Any) -> StudyFile:
+def compare_study(contenders: Sequence[Preset], data: str, groups: Sequence[Sequence[int]], seeds: Any) -> Study:
     """Return the study: a row per method, a dataset per group, each calibrated jointly."""
     content = {
+        "name": "compare",
         "title": "Comparison without ground truth",
         "joint": True,
         "seeds": seeds,
@@ -94,7 +94,7 @@ def compare_study(contenders: Sequence[Preset], data: str, groups: Sequence[Sequ
         ],
         "row": [{"label": c.name, "section": c.name, **c.words, "options": c.options} for c in contenders],
     }
-    return study_file("compare", content)
+    return study_of(content, "compare")
 
 
 def _group(number: int) -> str:
@@ -212,10 +212,10 @@ def compare(
     workers, cache, registry = workers or Workers(), cache or FeatureCache.of_user(), plugins.registry()
     guesses = Guesses.of(start, perturb, registry)
     parts = split_frames(data, frames, groups, registry)
-    file = compare_study(contenders, data, parts, seeds if isinstance(seeds, int) else list(seeds))
+    study = compare_study(contenders, data, parts, seeds if isinstance(seeds, int) else list(seeds))
     words |= {"plugins": plugins, "workers": workers, "cache": cache, "initial_guess": guesses, "seeds_first": True}
-    done = studies.ablate(file, folder, **words)
-    plans = {row.section: row.resolve(registry, row.seeds[0]) for row in file.study.rows()}
+    done = studies.ablate(study, folder, **words)
+    plans = {row.section: row.resolve(registry, row.seeds[0]) for row in study.rows()}
     readable = [n for n in range(groups) if all(r.start is not None for r in done.rows if r.dataset == _group(n))]
     rows = [row for row in done.rows if row.dataset in set(map(_group, readable))]
     if done.interrupted or done.missing:
@@ -237,8 +237,8 @@ def compare(
         judges = {judge: _evaluating(published[name]) for judge, name in JUDGES.items() if name in published}
     judging = {}
     for judge, contender in judges.items():
-        study = compare_study([contender], data, [parts[n] for n in readable], 1).study
-        judging[judge] = open_rows(check_study(study, registry), plugins, MAX_CALIBRATIONS)
+        judge_study = compare_study([contender], data, [parts[n] for n in readable], 1)
+        judging[judge] = open_rows(check_study(judge_study, registry), plugins, MAX_CALIBRATIONS)
     return done, _compared(rows, plans, judging, workers, cache, str(guesses.size))
 
 

@@ -14,7 +14,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 from p2o.errors import InputError
 from p2o.files.input_file import expanded, read_bytes, read_start
@@ -22,7 +22,6 @@ from p2o.files.parsed_text import parse_json
 from p2o.files.whole_file import write_whole
 from p2o.results.json_types import Schema, Tree
 from p2o.results.result import Status
-from pydantic import Field
 
 from p2o_study.row import PREDICTED, Case, Environment, Frame, Method, Row, Text, canonical, content_id
 
@@ -46,11 +45,10 @@ class PlanRow:
 
 @dataclass(frozen=True)
 class StoredStudy:
-    """A study as last started: the text of its file, the overrides `data` of the command line, and the plan."""
+    """A study as last started: the content of its file with the changes of the command line, and the plan."""
 
     name: Text
-    toml: Annotated[str, Field(max_length=10_000_000)]
-    data: Tree
+    content: Tree
     plan: tuple[PlanRow, ...] = ()
 
     @cached_property

@@ -551,23 +551,7 @@ def _methods(values: Mapping[tuple[str, ...], Any]) -> dict[str, str]:
     return {stage: name for stage, name in {**words, "extractor": image, "cloud": cloud}.items() if name}
 
 
-@dataclass(frozen=True)
-class StudyFile:
-    """A study with the text of its file; `source` is the path or name."""
-
-    study: Study
-    text: str
-    source: str
-
-    @classmethod
-    def read(cls, file: Traversable | Path, registry: Registry) -> StudyFile:
-        """Read a study file; raises as `find_study`."""
-        with importlib.resources.as_file(file) as path:
-            text = read_text(path, "study file")
-        return cls(parse_study(text, str(file)).with_methods(registry), text, str(file))
-
-
-def find_study(word: str, registry: Registry) -> StudyFile:
+def find_study(word: str, registry: Registry) -> Study:
     """Return the study of a path, or of the name of a study that a loaded plugin ships.
 
     A plugin ships studies in the folder `studies` of its package; NAME@DISTRIBUTION selects one of several with the
@@ -580,7 +564,7 @@ def find_study(word: str, registry: Registry) -> StudyFile:
     if word.endswith(".toml") or "/" in word or "\\" in word:
         if not path.exists():
             raise InputError("the study file is missing", where=word, expected="a TOML file, or the name of a study")
-        return StudyFile.read(path, registry)
+        return _read(path, registry)
     name, at, dist = word.partition("@")
     shipped = shipped_studies(registry)
     matches = [(owner, file) for owner, file in shipped.get(name, []) if not at or owner == dist]
@@ -591,7 +575,13 @@ def find_study(word: str, registry: Registry) -> StudyFile:
             f"study '{name}' is shipped by several plugins: {' and '.join(owner for owner, _ in matches)}",
             hint="write " + " or ".join(f"{name}@{owner}" for owner, _ in matches),
         )
-    return StudyFile.read(matches[0][1], registry)
+    return _read(matches[0][1], registry)
+
+
+def _read(file: Traversable | Path, registry: Registry) -> Study:
+    with importlib.resources.as_file(file) as path:
+        text = read_text(path, "study file")
+    return parse_study(text, str(file)).with_methods(registry)
 
 
 def shipped_studies(registry: Registry) -> dict[str, list[tuple[str, Traversable]]]:
@@ -604,12 +594,15 @@ def shipped_studies(registry: Registry) -> dict[str, list[tuple[str, Traversable
 
 
 def parse_study(text: str, source: str = "study") -> Study:
-    """Parse a study from TOML.
+    """Parse a study from TOML; raises InputError for text that is not TOML, and as `study_of`."""
+    return study_of(parse_toml(text, "study", source), source)
 
-    Raises InputError for text that is not TOML and for invalid values, UnknownNameError for an unknown key, both with
-    the place.
+
+def study_of(content: Any, source: str) -> Study:
+    """Return the study of the content of a study file.
+
+    Raises InputError for invalid values, UnknownNameError for an unknown key, both with the place.
     """
-    content = parse_toml(text, "study", source)
     _refuse_unsupported_values(content, source)
     try:
         return Study.model_validate(content)

@@ -170,7 +170,7 @@ def measure(
         environment = replace(row.environment, commit=commit, measured_by=measured_by)
         return replace(row.brief(), environment=environment)
 
-    with open_session(suite.study.study, **words) as session:
+    with open_session(suite.study, **words) as session:
         try:
             cells = session.cells()
             for position, cell in enumerate(cells):
@@ -208,12 +208,12 @@ def status_of(suite: SuiteFile, results: Rows, plugins: Plugins, **words: Any) -
     The other words are those of `open_session`.
     """
     rows = list(results.each(suite.name))
-    known, unchecked = _Known(rows), {table.name for table in suite.study.study.dataset if table.left_out}
+    known, unchecked = _Known(rows), {table.name for table in suite.study.dataset if table.left_out}
     entries: list[Entry] = []
     asked: dict[Any, Cell] = {}
     unreadable: list[str] = []
-    if len(unchecked) < len(suite.study.study.dataset):
-        with open_session(suite.study.study, plugins, **{**words, "on_warning": lambda text: None}) as session:
+    if len(unchecked) < len(suite.study.dataset):
+        with open_session(suite.study, plugins, **{**words, "on_warning": lambda text: None}) as session:
             for cell in session.cells():
                 if not cell.group.readable:
                     unreadable.append(cell.row.dataset)
@@ -317,7 +317,7 @@ def recheck(suite: SuiteFile, results: Rows, *, sample: int, seed: int, **words:
     states: Counter[State] = Counter()
     fresh: dict[int, Row] = {}
     missing = []
-    with open_session(suite.study.study, **words) as session:
+    with open_session(suite.study, **words) as session:
         cells = session.cells()
         for position, cell in enumerate(cells):
             state, row = known.state(cell)

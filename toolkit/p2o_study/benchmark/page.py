@@ -137,7 +137,7 @@ class Overlays:
         They have name, frame, and images before and after as data URIs. None is drawn for other data than synthetic
         ones, external methods, crashed rows, and more than `MAX_RUNS` runs.
         """
-        tables = {table.name: table for table in suite.study.study.dataset}
+        tables = {table.name: table for table in suite.study.dataset}
         table = tables.get(rows[0].dataset)
         if table is None or split_data(table.data)[0] != SYNTHETIC:
             return []
@@ -272,7 +272,7 @@ def write_page(
     size = left_out = 0
     for suite in suites:
         on_suite(suite.name)
-        own = {table.name: cards(table) for table in suite.study.study.dataset}
+        own = {table.name: cards(table) for table in suite.study.dataset}
         for lines in _compared(suite, results):
             chosen = lines[: MAX_ROWS - len(rows)] if size < MAX_BYTES else []
             groups = {norm: top_groups([line.summary.mean(norm) for line in chosen]) for norm in NORMS}

@@ -6,7 +6,7 @@ A suite takes datasets, defaults and variants of its study; rows and products of
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -28,7 +28,6 @@ from p2o_study.study import (
     Seeds,
     Slug,
     Study,
-    StudyFile,
     StudyRow,
     Variant,
     find_study,
@@ -93,7 +92,7 @@ class SuiteFile:
     """A suite with its study; `source` is the path of the suite file."""
 
     suite: Suite
-    study: StudyFile
+    study: Study
     source: Path
 
     @property
@@ -104,13 +103,12 @@ class SuiteFile:
     @property
     def rows(self) -> list[StudyRow]:
         """The rows of the study on all datasets, also on those without a path."""
-        tables = tuple(table.model_copy(update={"optional": False}) for table in self.study.study.dataset)
-        return self.study.study.model_copy(update={"dataset": tables}).rows()
+        tables = tuple(table.model_copy(update={"optional": False}) for table in self.study.dataset)
+        return self.study.model_copy(update={"dataset": tables}).rows()
 
     def on(self, data: Sequence[str] = (), root: str | None = None) -> SuiteFile:
         """Return the suite with the paths of datasets, as in `Study.overridden`."""
-        study = self.study.study.overridden(data=data, root=root)
-        return SuiteFile(self.suite, StudyFile(study, self.study.text, self.study.source), self.source)
+        return replace(self, study=self.study.overridden(data=data, root=root))
 
 
 def suites(registry: Registry, folder: str | Path | None = None) -> dict[str, Path]:
@@ -136,12 +134,11 @@ def find_suite(word: str, registry: Registry, folder: str | Path | None = None) 
         path = known[word]
     suite = validated(Suite, parse_toml(read_text(path, "suite"), "suite", path), where=path)
     named = path.parent / suite.study if suite.study.endswith(".toml") else suite.study
-    base = find_study(str(named), registry)
-    study = suite.applied_to(base.study).with_methods(registry)
+    study = suite.applied_to(find_study(str(named), registry)).with_methods(registry)
     if suite.splits:
         spec = f"@{path.parent / suite.splits}"
         study = study.overridden(frames=[f"{table.name}={spec}" for table in study.dataset if table.split])
-    file = SuiteFile(suite, StudyFile(study, base.text, base.source), path)
+    file = SuiteFile(suite, study, path)
     check_rows(file.rows, str(path))
     return file
 

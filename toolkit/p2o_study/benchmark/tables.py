@@ -103,7 +103,7 @@ class SuiteTables:
         keys = [*self.asked, *self.lines]
         asked = [
             *(("section", word, {key.section for key in keys}) for word in (choice.section,) if word is not None),
-            *(("data set", word, {table.name for table in self.suite.study.study.dataset}) for word in choice.data),
+            *(("data set", word, {table.name for table in self.suite.study.dataset}) for word in choice.data),
             *(("method", word, {key.label for key in keys}) for word in choice.methods),
         ]
         for kind, word, known in asked:

@@ -124,14 +124,12 @@ def command(
     from p2o_study.gate import read_reference
     from p2o_study.parallel import Workers
     from p2o_study.rows import Rows
-    from p2o_study.study import StudyFile, find_study
+    from p2o_study.study import find_study
 
     shipped = find_study(study, plugins.registry())
-    overridden = shipped.study.overridden(**data, seeds=None if seeds is None else parse_seeds(seeds))
-    file = StudyFile(overridden, shipped.text, shipped.source)
+    overridden = shipped.overridden(**data, seeds=None if seeds is None else parse_seeds(seeds))
     reference = read_reference(gate) if gate is not None and (not update or Path(gate).exists()) else None
     folder = Path("p2o-out") / overridden.name if out is None else Path(out)
-    overrides = {name: list(value) if isinstance(value, tuple) else value for name, value in data.items() if value}
     phases: set[str] = set()
     try:
         with progress_shown(quiet) as (say, warn):
@@ -141,9 +139,8 @@ def command(
                 say(progress)
 
             done = ablate(
-                file,
+                overridden,
                 folder,
-                overrides={**overrides, **({"seeds": seeds} if seeds else {})},
                 plugins=plugins,
                 workers=Workers(available_cores() if jobs is None else jobs, backend, address, isolate),
                 at_most=at_most,
@@ -203,7 +200,7 @@ def _list(plugins: Any) -> str:
         for dist, _ in owners:
             word = name if len(owners) == 1 else f"{name}@{dist}"
             try:
-                titles[word] = find_study(word, registry).study.title
+                titles[word] = find_study(word, registry).title
             except P2OError as problem:
                 titles[word] = f"broken: {printable(str(problem))}"
     width = max((len(word) for word in titles), default=0)

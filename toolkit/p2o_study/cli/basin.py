@@ -63,7 +63,7 @@ def command(
     registry = plugins.registry()
     limits = parse_perturbation(within, "--within")
     grid = Grid(_sizes("--rotations", rotations), _sizes("--translations", translations), limits)
-    known_study = None if study is None else find_study(study, registry).study
+    known_study = None if study is None else find_study(study, registry)
     contenders = [contender_of(name, known_study, registry) for name in dict.fromkeys(methods)]
     file = basin_study(contenders, grid, **words)
     with progress_shown(quiet) as (say, warn):

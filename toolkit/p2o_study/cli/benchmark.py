@@ -290,7 +290,7 @@ def _starts(file: SuiteFile, bench: _Bench) -> Any:
     from p2o_study.ablate import open_session
     from p2o_study.benchmark.score import starts_of
 
-    with bench.session() as words, open_session(file.study.study, **words) as session:
+    with bench.session() as words, open_session(file.study, **words) as session:
         return starts_of(session.cells())
 
 
