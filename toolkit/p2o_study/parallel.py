@@ -194,14 +194,13 @@ class _Loky:
 
     @contextlib.contextmanager
     def connected(self) -> Iterator[None]:
-        from joblib.externals.loky import get_reusable_executor
-
         ended = False
         try:
             yield
             ended = True
         finally:
-            get_reusable_executor(kill_workers=not ended).shutdown(wait=True, kill_workers=not ended)
+            if self.executor is not None:
+                self.executor.shutdown(wait=True, kill_workers=not ended)
 
     def prepare(self) -> None:
         from joblib.externals.loky import get_reusable_executor

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from datetime import date, time
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn, Self
 
 from p2o.errors import InputError, P2OError, UnknownNameError, printable
 from p2o.files.input_file import existing_folder, expanded, read_text
@@ -231,7 +231,7 @@ class Study(_Table):
     seeds: Seeds = 1
     metrics: tuple[Metric, ...] = Field(default=("rotation_deg", "translation_m"), min_length=1, max_length=8)
 
-    def with_methods(self, registry: Registry) -> Study:
+    def with_methods(self, registry: Registry) -> Self:
         """Return the study with words and options of published methods in place of their names.
 
         Raises UnknownNameError for an unknown method.
@@ -261,7 +261,7 @@ class Study(_Table):
         frames: str | Sequence[str] | None = None,
         seeds: int | Sequence[int] | None = None,
         root: str | Path | None = None,
-    ) -> Study:
+    ) -> Self:
         """Return the study with other data, frames or seeds, in the form of the command line.
 
         `data` are texts DATASET:PATH (a study of one dataset) or NAME=DATASET:PATH, `root` the folder with the `path`

@@ -19,7 +19,7 @@ from p2o.errors import UnknownNameError
 from p2o.geometry.pose_error import pose_error
 
 from p2o_study.ablate import Progress, open_session
-from p2o_study.benchmark.suite import SuiteFile
+from p2o_study.benchmark.suite import Suite
 from p2o_study.cells import Cell, Method
 from p2o_study.row import Row
 from p2o_study.rows import Rows
@@ -143,22 +143,20 @@ class Measured:
     interrupted: bool
 
 
-def measure(
-    suite: SuiteFile, results: Rows, *, measured_by: str, sections: Collection[str] = (), **words: Any
-) -> Measured:
+def measure(suite: Suite, results: Rows, *, measured_by: str, sections: Collection[str] = (), **words: Any) -> Measured:
     """Compute the missing and stale rows of a suite, or of some of its `sections`, and append them to the results.
 
     Each row is appended when it is finished, so that an interrupted measurement continues. A calibration that another
     suite has measured with this version of the method is not computed again, unless the suite has `share = false`.
     The other words are those of `open_session`. Raises UnknownNameError for an unknown section, and as `ablate`.
     """
-    names = list(dict.fromkeys(row.section for row in suite.rows))
+    names = list(dict.fromkeys(row.section for row in suite.all_rows()))
     for section in sections:
         if section not in names:
-            raise UnknownNameError("section", section, names, where=suite.source)
+            raise UnknownNameError("section", section, names, where=suite.file)
     results.make_folder()
     known, commit = _Known(results.each(suite.name)), source_version()
-    from_others = [] if not suite.suite.share else [name for name in results.studies if name != suite.name]
+    from_others = [] if not suite.share else [name for name in results.studies if name != suite.name]
     same = {**_Known(row for name in from_others for row in results.each(name)).by_key, **known.by_key}
     pending: list[int] = []
     fresh = shared = unreadable = crashed = 0
@@ -170,7 +168,7 @@ def measure(
         environment = replace(row.environment, commit=commit, measured_by=measured_by)
         return replace(row.brief(), environment=environment)
 
-    with open_session(suite.study, **words) as session:
+    with open_session(suite, **words) as session:
         try:
             cells = session.cells()
             for position, cell in enumerate(cells):
@@ -202,18 +200,18 @@ def _labelled(row: Row, cell: Cell) -> Row:
     return replace(row, **{name: getattr(cell.row, name) for name in ("row", "section", "case", "method")})
 
 
-def status_of(suite: SuiteFile, results: Rows, plugins: Plugins, **words: Any) -> SuiteStatus:
+def status_of(suite: Suite, results: Rows, plugins: Plugins, **words: Any) -> SuiteStatus:
     """Return the status of a suite; frames of datasets with a path are read, nothing is computed.
 
     The other words are those of `open_session`.
     """
     rows = list(results.each(suite.name))
-    known, unchecked = _Known(rows), {table.name for table in suite.study.dataset if table.left_out}
+    known, unchecked = _Known(rows), {table.name for table in suite.dataset if table.left_out}
     entries: list[Entry] = []
     asked: dict[Any, Cell] = {}
     unreadable: list[str] = []
-    if len(unchecked) < len(suite.study.dataset):
-        with open_session(suite.study, plugins, **{**words, "on_warning": lambda text: None}) as session:
+    if len(unchecked) < len(suite.dataset):
+        with open_session(suite, plugins, **{**words, "on_warning": lambda text: None}) as session:
             for cell in session.cells():
                 if not cell.group.readable:
                     unreadable.append(cell.row.dataset)
@@ -259,12 +257,12 @@ def _asked_by(row: Row) -> tuple[Any, ...]:
     return _any_method(row.identity) if row.method.external else row.identity
 
 
-def _revisions(suite: SuiteFile, plugins: Plugins) -> Mapping[tuple[str, str], set[str]]:
+def _revisions(suite: Suite, plugins: Plugins) -> Mapping[tuple[str, str], set[str]]:
     """Return the revisions of the methods of each row, by section and label; no data are needed."""
     registry = plugins.registry()
     return {
         (row.section, row.label): {Method.of(row, seed, "{}", {}, registry).digest for seed in row.seeds}
-        for row in suite.rows
+        for row in suite.all_rows()
     }
 
 
@@ -306,7 +304,7 @@ class Recheck:
         return "\n".join(lines)
 
 
-def recheck(suite: SuiteFile, results: Rows, *, sample: int, seed: int, **words: Any) -> Recheck:
+def recheck(suite: Suite, results: Rows, *, sample: int, seed: int, **words: Any) -> Recheck:
     """Compute a random sample of the fresh rows of a suite again; compare status, verdict, pose and predicted errors.
 
     Rows of this processor have to agree to 1e-6 deg and m, those of others to 0.02 deg and 5 mm. No outcome is taken
@@ -317,7 +315,7 @@ def recheck(suite: SuiteFile, results: Rows, *, sample: int, seed: int, **words:
     states: Counter[State] = Counter()
     fresh: dict[int, Row] = {}
     missing = []
-    with open_session(suite.study, **words) as session:
+    with open_session(suite, **words) as session:
         cells = session.cells()
         for position, cell in enumerate(cells):
             state, row = known.state(cell)

@@ -23,7 +23,7 @@ from p2o.run.fit import FRAME_CONTENT
 from p2o.run.recipe import Recipe
 from p2o.run.words import split_data
 
-from p2o_study.benchmark.suite import SuiteFile
+from p2o_study.benchmark.suite import Suite
 from p2o_study.benchmark.tables import NOTE
 from p2o_study.compare import family_of
 from p2o_study.report.overlays import drawn_run
@@ -83,7 +83,7 @@ def line_columns() -> list[Column]:
         Column("source", off=True, of=lambda one: one.method.source or None),
         *(Column(f"{name_of(n)} of solved [{unit_of(n)[0]}]", off=True, of=partial(_solved, norm=n)) for n in NORMS),
         Column("name", off=True, of=lambda one: one.name),
-        Column("compared", off=True, of=lambda one: cell(one.heading, one.heading, one.suite.suite.question)),
+        Column("compared", off=True, of=lambda one: cell(one.heading, one.heading, one.suite.question)),
         *(Column(_STARTS[n], n.rpartition("_")[2], off=True, of=partial(_start, norm=n)) for n in NORMS),
     ]
 
@@ -131,13 +131,13 @@ class Overlays:
     drawn: int = 0
     left_out: int = 0
 
-    def of(self, suite: SuiteFile, rows: Sequence[Row]) -> list[dict[str, str]]:
+    def of(self, suite: Suite, rows: Sequence[Row]) -> list[dict[str, str]]:
         """Return the overlays of rows in descending order of their errors: those of the first and the median one.
 
         They have name, frame, and images before and after as data URIs. None is drawn for other data than synthetic
         ones, external methods, crashed rows, and more than `MAX_RUNS` runs.
         """
-        tables = {table.name: table for table in suite.study.dataset}
+        tables = {table.name: table for table in suite.dataset}
         table = tables.get(rows[0].dataset)
         if table is None or split_data(table.data)[0] != SYNTHETIC:
             return []
@@ -181,7 +181,7 @@ class _Line:
     dataset with its sensors.
     """
 
-    suite: SuiteFile
+    suite: Suite
     summary: Statistics
     name: str = ""
     family: str = ""
@@ -246,7 +246,7 @@ class _Line:
 
 
 def write_page(
-    suites: Sequence[SuiteFile],
+    suites: Sequence[Suite],
     results: Rows,
     folder: Path,
     registry: Registry,
@@ -272,7 +272,7 @@ def write_page(
     size = left_out = 0
     for suite in suites:
         on_suite(suite.name)
-        own = {table.name: cards(table) for table in suite.study.dataset}
+        own = {table.name: cards(table) for table in suite.dataset}
         for lines in _compared(suite, results):
             chosen = lines[: MAX_ROWS - len(rows)] if size < MAX_BYTES else []
             groups = {norm: top_groups([line.summary.mean(norm) for line in chosen]) for norm in NORMS}
@@ -367,7 +367,7 @@ def _families(lines: Sequence[_Line]) -> Block:
     opens = [html.rows_of("rows", suite=lines[0].suite.name, family=family, find=name) for family, name in keys]
     guide = "Mean rotation error, below it that of the translation. Select a method to see its rows."
     table = html.table(columns, keys, name="families", group="family", opens=opens)
-    question = html.text(lines[0].suite.suite.question)
+    question = html.text(lines[0].suite.question)
     return html.section("Methods by family", question, table, html.text(guide, "quiet"))
 
 
@@ -404,13 +404,13 @@ def _error_size(row: Row) -> float:
     return np.inf if error is None else error.rotation_deg / WRONG.angle_deg + error.translation_m / WRONG.distance_m
 
 
-def _compared(suite: SuiteFile, results: Rows) -> list[list[_Line]]:
+def _compared(suite: Suite, results: Rows) -> list[list[_Line]]:
     """Return the rows of a suite, one list for all that are compared with each other."""
-    order = {row.label: number for number, row in enumerate(suite.rows)}
+    order = {row.label: number for number, row in enumerate(suite.all_rows())}
     rows: dict[tuple[str, str, str, str], list[Row]] = {}
     for row in results.latest(suite.name):
         rows.setdefault((row.section, row.row, row.dataset, row.protocol), []).append(row)
-    group_of = suite.suite.group_of
+    group_of = suite.group_of
     lines = [_Line(suite, Statistics(own, label, group_of)) for (_, label, _, _), own in rows.items()]
     labels: dict[str, list[str]] = {}
     for line in lines:

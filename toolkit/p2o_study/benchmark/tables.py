@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 from p2o.errors import UnknownNameError
 
 from p2o_study.benchmark.marks import Writer
-from p2o_study.benchmark.suite import SuiteFile
+from p2o_study.benchmark.suite import Suite
 from p2o_study.row import GIVEN, Row
 from p2o_study.rows import Rows
 from p2o_study.statistics import MIN_FRAMES, WRONG_TEXT, Statistics
@@ -61,14 +61,14 @@ class SuiteTables:
     last. `asked` are the rows of the suite. Labels are without "@ DATA SET".
     """
 
-    suite: SuiteFile
+    suite: Suite
     lines: Mapping[Key, Statistics]
     asked: Sequence[Key]
 
     @classmethod
-    def read(cls, suite: SuiteFile, results: Rows) -> SuiteTables:
+    def read(cls, suite: Suite, results: Rows) -> SuiteTables:
         """Return the tables of a suite; rows that it does not ask for are left out."""
-        asked = [_key(row.section, row.label, row.dataset.name) for row in suite.rows]
+        asked = [_key(row.section, row.label, row.dataset.name) for row in suite.all_rows()]
         rows: dict[Key, list[Row]] = {key: [] for key in asked}
         for row in results.latest(suite.name):
             key = _key(row.section, row.row, row.dataset)
@@ -76,14 +76,14 @@ class SuiteTables:
                 rows.setdefault(key, []).append(row)
         data = list(dict.fromkeys(key.dataset for key, own in rows.items() if own))
         keys = sorted((key for key, own in rows.items() if own), key=lambda key: data.index(key.dataset))
-        return cls(suite, {key: Statistics(rows[key], key.label, suite.suite.group_of) for key in keys}, asked)
+        return cls(suite, {key: Statistics(rows[key], key.label, suite.group_of) for key in keys}, asked)
 
     def markdown(self, choice: Choice) -> str:
         """Return the tables in Markdown, one for each section; raises InputError for a name that the suite lacks."""
         self._check(choice)
         keys = [key for key in dict.fromkeys((*self.asked, *self.lines)) if choice.has(key)]
         if choice.sections == "together":
-            return self._table(self.suite.suite.name, keys, choice)
+            return self._table(self.suite.name, keys, choice)
         sections = dict.fromkeys(key.section for key in keys if choice.section in (None, key.section))
         return "\n".join(self._table(name, [key for key in keys if key.section == name], choice) for name in sections)
 
@@ -103,12 +103,12 @@ class SuiteTables:
         keys = [*self.asked, *self.lines]
         asked = [
             *(("section", word, {key.section for key in keys}) for word in (choice.section,) if word is not None),
-            *(("data set", word, {table.name for table in self.suite.study.dataset}) for word in choice.data),
+            *(("data set", word, {table.name for table in self.suite.dataset}) for word in choice.data),
             *(("method", word, {key.label for key in keys}) for word in choice.methods),
         ]
         for kind, word, known in asked:
             if word not in known:
-                raise UnknownNameError(kind, word, sorted(known), where=self.suite.source)
+                raise UnknownNameError(kind, word, sorted(known), where=self.suite.file)
 
     def _table(self, caption: str, keys: Sequence[Key], choice: Choice) -> str:
         """Return the table of some rows with its caption."""

@@ -21,7 +21,7 @@ from p2o_study.cli.ablate import at_most_option, cluster_options, data_options, 
 
 if TYPE_CHECKING:
     from p2o_study.benchmark.measure import SuiteStatus
-    from p2o_study.benchmark.suite import SuiteFile
+    from p2o_study.benchmark.suite import Suite
     from p2o_study.benchmark.tables import SuiteTables
     from p2o_study.rows import Rows
     from p2o_study.worker import Plugins
@@ -66,13 +66,13 @@ class _Bench:
 
         return Rows(self.results)
 
-    def open(self, name: str) -> SuiteFile:
+    def open(self, name: str) -> Suite:
         """Return a suite on its data."""
         from p2o_study.benchmark.suite import find_suite
 
-        return find_suite(name, self.plugins.registry(), self.suites).on(self.data, self.root)
+        return find_suite(name, self.plugins.registry(), self.suites).overridden(data=self.data, root=self.root)
 
-    def opened(self, suite: str | None = None) -> Iterator[SuiteFile]:
+    def opened(self, suite: str | None = None) -> Iterator[Suite]:
         """Yield a suite on its data, or all."""
         from p2o_study.benchmark.suite import suites
 
@@ -285,12 +285,12 @@ def recheck(bench: _Bench, suite: str | None, sample: int, seed: int | None) -> 
     return 0 if clean else 1
 
 
-def _starts(file: SuiteFile, bench: _Bench) -> Any:
+def _starts(file: Suite, bench: _Bench) -> Any:
     """Return the initial guesses of a suite by group, protocol and seed; frames are read."""
     from p2o_study.ablate import open_session
     from p2o_study.benchmark.score import starts_of
 
-    with bench.session() as words, open_session(file.study, **words) as session:
+    with bench.session() as words, open_session(file, **words) as session:
         return starts_of(session.cells())
 
 
@@ -338,7 +338,7 @@ def score(bench: _Bench, poses: str, suite: str, name: str, source: str, by: str
 
     file = bench.open(suite)
     known = _starts(file, bench)
-    labels = [row.label for row in file.rows]
+    labels = [row.label for row in file.all_rows()]
     rows = external.score(Path(poses), known, name, source=source, measured_by=by, known=labels)
     stored = bench.rows
     stored.make_folder()
