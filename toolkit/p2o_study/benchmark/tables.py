@@ -41,7 +41,6 @@ class Choice:
     with `sections` "together".
     """
 
-    suite: str
     section: str | None = None
     data: tuple[str, ...] = ()
     methods: tuple[str, ...] = ()
@@ -155,6 +154,6 @@ def rows_text(tables: Callable[[str], SuiteTables]) -> Writer:
                 raise ValueError(value)
             words[name] = tuple(value.split(", ")) if known is None else value
         words["methods"] = tables(suite).labels_in(words.get("methods", ()))
-        return tables(suite).markdown(Choice(suite, section or None, **words))
+        return tables(suite).markdown(Choice(section or None, **words))
 
     return text

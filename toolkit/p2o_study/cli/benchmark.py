@@ -362,7 +362,7 @@ def table(bench: _Bench, suite: str, section: str | None) -> int:
     from p2o_study.benchmark.tables import NOTE, Choice
 
     tables = bench.tables()(suite)
-    click.echo(tables.markdown(Choice(tables.suite.name, section)))
+    click.echo(tables.markdown(Choice(section)))
     click.echo(NOTE)
     return 0
 
