@@ -10,7 +10,7 @@ import os
 import re
 import time
 import warnings
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -219,33 +219,25 @@ class Session:
                     if stage != "data":
                         worker.built(part)  # reports a missing package before any work
         keys = FeatureKeys()
-        failures = self._extracted(cells, pending, keys)
-        refused: list[Row] = []
+        self._extract(cells, pending, keys)
+        for position in pending:
+            if (failure := cells.place(position)[1].failure) is not None:
+                yield replace(cells[position].row, reason=failure[0], exception=failure[1], finished=worker.now())
 
         def jobs() -> Iterator[CalibrateJob]:
             for position in pending:
                 cell: Cell = cells[position]
                 group = cell.group
-                failure, own = group.failure, list[Mapping[str, str]]()
-                if failure is None and not group.rig:
-                    own = [keys.of(cell.method, record) for record in group.records]
-                    known = (failures[key] for stages in own for key in stages.values() if key in failures)
-                    failure = next(known, None)
-                if failure is not None:
-                    refused.append(replace(cell.row, reason=failure[0], exception=failure[1], finished=worker.now()))
-                elif is_pending(cell.row.key):
-                    words = (cell.row, cell.method.recipe, group.records, self.cache.root, tuple(own))
-                    yield CalibrateJob(*words, cell.method.damage, group.cameras if group.rig else {})
+                if group.failure is None and is_pending(cell.row.key):
+                    own = () if group.rig else tuple(keys.of(cell.method, record) for record in group.records)
+                    words = (cell.row, cell.method.recipe, group.records, self.cache.root, own, cell.method.damage)
+                    yield CalibrateJob(*words, group.cameras if group.rig else {})
 
         with contextlib.closing(self.run(worker.calibrate, jobs(), worker.calibration_failed)) as rows:
-            for row in rows:
-                yield row
-                while refused:
-                    yield refused.pop(0)
-        yield from refused
+            yield from rows
 
-    def _extracted(self, cells: Cells, pending: Sequence[int], keys: FeatureKeys) -> dict[str, tuple[str, str]]:
-        """Extract the features that are not cached, once each; return reason and traceback of failures by key."""
+    def _extract(self, cells: Cells, pending: Sequence[int], keys: FeatureKeys) -> None:
+        """Extract the features that are not cached, once each."""
         wanted: dict[Source, dict[str, tuple[str, str, str]]] = {}
         examined: set[str] = set()
         for entry, group, seed in map(cells.place, pending):
@@ -258,13 +250,10 @@ class Session:
                         wanted.setdefault(record.source, {})[key] = (key, method.recipe, stage)
                     examined.add(key)
         jobs = [ExtractJob(source, self.cache.root, tuple(tasks.values())) for source, tasks in wanted.items()]
-        failures: dict[str, tuple[str, str]] = {}
-        with contextlib.closing(self.run(worker.extract, jobs, worker.extraction_failed)) as finished:
-            for done, outcome in enumerate(finished, start=1):
-                failures |= outcome.failed
-                self._warn_once(outcome.cache_error)
+        with contextlib.closing(self.run(worker.extract, jobs, lambda job, problem: "")) as finished:
+            for done, cache_error in enumerate(finished, start=1):
+                self._warn_once(cache_error)
                 self.say(Progress("extract", done, len(jobs)))
-        return failures
 
     def _warn_once(self, cache_error: str) -> None:
         if cache_error and not self._has_warned:

@@ -142,14 +142,6 @@ class ExtractJob:
     wanted: tuple[tuple[str, str, str], ...]
 
 
-@dataclass(frozen=True)
-class Extracted:
-    """Reason and traceback by key of failures; `cache_error` is the reason if features could not be cached."""
-
-    failed: Mapping[str, tuple[str, str]]
-    cache_error: str = ""
-
-
 @dataclass(frozen=True, eq=False)
 class CalibrateJob:
     """A job to compute one row: `row` has the fields known in advance, `recipe` (JSON) the methods.
@@ -287,27 +279,21 @@ def portable_hash(value: Any) -> str:
     )
 
 
-def extract(job: ExtractJob) -> Extracted:
-    """Extract the features that are not cached and return the failures."""
+def extract(job: ExtractJob) -> str:
+    """Extract the features that are not cached; return the reason if they could not be cached.
+
+    An extractor that raises here raises again in the rows that need it, which report the error.
+    """
     cache = BestEffortCache(job.cache)
-    failed = {}
     for key, recipe, stage in job.wanted:
         if not cache.has(key):
             try:
                 prepared(cache, key, job.source, plan_of(job.source.plugins, recipe).parts[stage], stage)
             except KeyboardInterrupt:
                 raise
-            except BaseException as problem:
-                # Without the second extractor, results are not checked, which their verdict reports.
-                if stage in WITNESS:
-                    continue
-                failed[key] = (_one_line(problem), traceback.format_exc())
-    return Extracted(failed, cache.cache_error)
-
-
-def extraction_failed(job: ExtractJob, problem: P2OError) -> Extracted:
-    """Return the failures of a job that terminated every worker."""
-    return Extracted({key: (str(problem), str(problem)) for key, _, _ in job.wanted})
+            except BaseException:
+                continue
+    return cache.cache_error
 
 
 def calibrate(job: CalibrateJob) -> Row:
