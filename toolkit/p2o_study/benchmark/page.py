@@ -300,13 +300,6 @@ def write_page(
             left_out += len(lines)
     families = {suite.name: {line.family for line in shown if line.suite is suite} for suite in suites}
     first = max(families, key=lambda name: len(families[name]), default="")
-    blocks = [
-        html.text("Errors of camera-LiDAR calibration, computed from poses. Select a row to see its runs.", "quiet")
-    ]
-    if left_out:
-        text = f"The page has the first {len(rows)} rows; {left_out} further ones are left out."
-        blocks.append(html.text(f"{text} p2o benchmark table has all.", "quiet"))
-    blocks += [_families([line for line in shown if line.suite.name == first])] if shown else []
     filters = ["data set", "initial error", "frames", "family", "needs"]
     table = html.table(
         [replace(column, of=None) for column in columns],
@@ -318,17 +311,30 @@ def write_page(
         opens=opens,
         counted=" rows",
     )
+    left = f"The page has the first {len(rows)} rows; {left_out} further ones are left out." if left_out else ""
+    data = [_card(shared, title, card) for title, card in described.items()]
+    blocks = _blocks([line for line in shown if line.suite.name == first], table, data, left)
+    page = html.page("p2o benchmark", blocks, shared=shared, script_files=True)
+    write_whole(folder / INDEX, page.encode())
+    return Written(folder / INDEX, len(rows), left_out, sum(len(line.rows) for line in shown))
+
+
+def _blocks(first: Sequence[_Line], table: Block, data: Sequence[Block], left: str) -> list[Block]:
+    """Return the page: the families of the `first` suite, the rows of all, plots, data cards and notes."""
+    head = "Errors of camera-LiDAR calibration, computed from poses. Select a row to see its runs."
     note = (
         "Of the rows above. Select a point to open its row, a name to hide it; drag to enlarge. Axes are logarithmic."
     )
     plots = html.choice("of", {name_of(norm): [_plots(norm)] for norm in NORMS})
-    blocks += [html.section("Rows", table), html.section("Errors", plots, html.text(note, "quiet"))]
-    if described:
-        blocks.append(html.section("Data", *(_card(shared, title, card) for title, card in described.items())))
-    blocks.append(html.section("How to read it", *(html.text(note, "quiet") for note in (GROUPS_NOTE, NOTE))))
-    page = html.page("p2o benchmark", blocks, shared=shared, script_files=True)
-    write_whole(folder / INDEX, page.encode())
-    return Written(folder / INDEX, len(rows), left_out, sum(len(line.rows) for line in shown))
+    return [
+        html.text(head, "quiet"),
+        *([html.text(f"{left} p2o benchmark table has all.", "quiet")] if left else []),
+        *([_families(first)] if first else []),
+        html.section("Rows", table),
+        html.section("Errors", plots, html.text(note, "quiet")),
+        *([html.section("Data", *data)] if data else []),
+        html.section("How to read it", *(html.text(text, "quiet") for text in (GROUPS_NOTE, NOTE))),
+    ]
 
 
 def _card(shared: html.Shared, title: str, card: Card) -> Block:

@@ -120,39 +120,23 @@ def command(
 
     from p2o.runtime.native import available_cores
 
-    from p2o_study.ablate import ablate, parse_seeds
+    from p2o_study.ablate import parse_seeds
     from p2o_study.gate import read_reference
     from p2o_study.parallel import Workers
-    from p2o_study.rows import Rows
     from p2o_study.study import find_study
 
     shipped = find_study(study, plugins.registry())
     overridden = shipped.overridden(**data, seeds=None if seeds is None else parse_seeds(seeds))
     reference = read_reference(gate) if gate is not None and (not update or Path(gate).exists()) else None
     folder = Path("p2o-out") / overridden.name if out is None else Path(out)
-    phases: set[str] = set()
-    try:
-        with progress_shown(quiet) as (say, warn):
-
-            def on_progress(progress: Progress) -> None:
-                phases.add(progress.phase)
-                say(progress)
-
-            done = ablate(
-                overridden,
-                folder,
-                plugins=plugins,
-                workers=Workers(available_cores() if jobs is None else jobs, backend, address, isolate),
-                at_most=at_most,
-                on_progress=on_progress,
-                on_warning=warn,
-            )
-    except (P2OError, OSError):
-        with contextlib.suppress(P2OError, OSError):
-            if "calibrate" in phases and (rows := (stored := Rows(folder)).planned(overridden.name)):
-                _print_table(overridden, rows, stored.missing(overridden.name))
-                click.echo(f"p2o: {len(rows)} rows are kept in {printable(folder)}", err=True)
-        raise
+    done = _ablated(
+        overridden,
+        folder,
+        quiet,
+        plugins=plugins,
+        workers=Workers(available_cores() if jobs is None else jobs, backend, address, isolate),
+        at_most=at_most,
+    )
     if done.rows:
         _print_table(overridden, done.rows, done.missing)
     if not quiet:
@@ -162,6 +146,28 @@ def command(
     if gate is None:
         return 1 if any(row.crashed for row in done.rows) or done.missing else 0
     return _gated(gate, overridden, done, reference, update=update)
+
+
+def _ablated(study: Study, folder: Path, quiet: bool, **words: Any) -> Ablation:
+    """Run a study with progress; print the finished rows if an error ends it while it is computing."""
+    from p2o_study.ablate import ablate
+    from p2o_study.rows import Rows
+
+    phases: set[str] = set()
+    try:
+        with progress_shown(quiet) as (say, warn):
+
+            def on_progress(progress: Progress) -> None:
+                phases.add(progress.phase)
+                say(progress)
+
+            return ablate(study, folder, on_progress=on_progress, on_warning=warn, **words)
+    except (P2OError, OSError):
+        with contextlib.suppress(P2OError, OSError):
+            if "calibrate" in phases and (rows := (stored := Rows(folder)).planned(study.name)):
+                _print_table(study, rows, stored.missing(study.name))
+                click.echo(f"p2o: {len(rows)} rows are kept in {printable(folder)}", err=True)
+        raise
 
 
 def _print_table(study: Study, rows: Sequence[Row], missing: Sequence[PlanRow]) -> None:
