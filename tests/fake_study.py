@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -182,7 +183,7 @@ def write_store(
     """Write runs as one study, and return the folder; `published` are tables of its file."""
     text = toml.replace('name = "table2"', f'name = "{study}"') + toml_of(published)
     rows = Rows(folder)
-    rows.begin(StoredStudy(study, text, {}, tuple(published), (*plan_of(runs), *missing)))
+    rows.begin(StoredStudy(study, tomllib.loads(text), (*plan_of(runs), *missing)))
     for run in runs:
         rows.put(study, run)
     return folder

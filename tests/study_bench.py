@@ -14,7 +14,7 @@ from p2o.cache import FeatureCache
 from p2o_study.ablate import Ablation, ablate
 from p2o_study.parallel import Workers
 from p2o_study.row import Row, rounded_pose
-from p2o_study.study import StudyFile, parse_study
+from p2o_study.study import parse_study
 from p2o_study.worker import Plugins
 
 PLUGIN = Path(__file__).with_name("study_plugin.py")
@@ -45,8 +45,9 @@ class Bench:
 
     def run(self, text: str, out: str = "out", jobs: int = 1, **words: object) -> Ablation:
         cache = FeatureCache(self.root / "cache")
-        file = StudyFile(parse_study(text), text, "test")
-        return ablate(file, self.root / out, plugins=self.plugins, workers=Workers(jobs), cache=cache, **words)
+        return ablate(
+            parse_study(text), self.root / out, plugins=self.plugins, workers=Workers(jobs), cache=cache, **words
+        )
 
     def calls(self) -> Counter[str]:
         """Return how often each was called since the last time: image, cloud, quick, frame."""

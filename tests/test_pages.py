@@ -271,7 +271,7 @@ def _check_p2o(command: Command, words: list[str], monkeypatch: pytest.MonkeyPat
         return real_build(offer, options)
 
     def planned(study: Any, folder: Any, *, plugins: Any, **_: Any) -> NoReturn:
-        assert studies.check_study(study.study, plugins.registry())
+        assert studies.check_study(study, plugins.registry())
         raise Reached
 
     with monkeypatch.context() as patch:
@@ -311,11 +311,11 @@ def _studies_of_the_example(command: Command, patch: pytest.MonkeyPatch) -> Iter
 
 def _found_in(folder: Path) -> Callable[..., Any]:
     def find(name: str, registry: Any) -> Any:
-        from p2o_study.study import StudyFile, parse_study
+        from p2o_study.study import parse_study
 
         text = (folder / f"{name}.toml").read_text(encoding="utf-8")
         text = text.replace("grey-steps/", "canny/").replace('"gauss-newton"', '"lm"')
-        return StudyFile(parse_study(text), text, folder / f"{name}.toml")
+        return parse_study(text)
 
     return find
 

@@ -21,12 +21,11 @@ from p2o.page.plot import Panel
 from p2o.results.figures import figure_lines
 from p2o.results.verdict import Trust
 from p2o_study.report import write_report
-from p2o_study.report.figures import figures_of
-from p2o_study.report.series import convergence_of, differ_much, lifted
+from p2o_study.report.figures import convergence_of, differ_much, figures_of, lifted
 from p2o_study.report.worst import outcome_text, worst_run
 from p2o_study.row import Row
 from p2o_study.rows import PlanRow
-from p2o_study.statistics import MIN_FRAMES, Statistics, _statistics, interval
+from p2o_study.statistics import Statistics, _statistics, interval
 from p2o_study.study import Published, parse_study
 from p2o_study.summary import Summary, summarised
 from p2o_study.tables import report_latex, report_markdown
@@ -105,16 +104,6 @@ def test_frames_that_all_say_the_same_leave_no_doubt() -> None:
     assert (found.low, found.value, found.high) == (2.0, 2.0, 2.0)
 
 
-def test_more_seeds_of_the_same_frames_do_not_narrow_an_interval() -> None:
-    """A frame's error twice is no second frame; drawn as runs, the interval would shrink by sqrt(4)."""
-    errors = np.random.default_rng(1).gamma(2.0, size=20)
-    names = [f"f{i}" for i in range(20)]
-    once = interval(errors, names, "mean")
-    fourfold = interval(np.repeat(errors, 4), np.repeat(names, 4).tolist(), "mean")
-    assert np.isclose(fourfold.low, once.low, rtol=1e-12)
-    assert np.isclose(fourfold.high, once.high, rtol=1e-12)
-
-
 def test_the_interval_of_a_mean_is_as_wide_as_normal_theory_says() -> None:
     """Half a width of 1.96 sigma / sqrt(n), n = 400; 2000 draws of a quantile and sigma are good for a tenth."""
     sample = np.random.default_rng(2).normal(5.0, 2.0, 400)
@@ -124,22 +113,6 @@ def test_the_interval_of_a_mean_is_as_wide_as_normal_theory_says() -> None:
     assert np.isclose(found.value - found.low, expected, rtol=0.1)
 
 
-def test_intervals_do_not_depend_on_the_order_of_runs() -> None:
-    rng = np.random.default_rng(3)
-    values, names = rng.normal(size=60), np.repeat([f"f{i}" for i in range(12)], 5)
-    order = rng.permutation(60)
-    for statistic in ("mean", "median"):
-        assert interval(values, names.tolist(), statistic) == interval(values[order], names[order].tolist(), statistic)
-
-
-def test_few_frames_have_no_interval_and_no_runs_no_value() -> None:
-    few = [f"f{i % (MIN_FRAMES - 1)}" for i in range(40)]
-    assert interval(np.arange(40.0), few, "mean").low is None
-    assert interval([], [], "mean") is None
-    with pytest.raises(ValueError, match="frames"):
-        interval([1.0], ["a", "b"], "mean")
-
-
 # ---- rows
 
 
@@ -147,7 +120,7 @@ def test_a_row_has_the_figures_of_its_runs() -> None:
     [group] = summary_of(frames(6, "ours", [0.5, 1.5])).groups
     [row] = group.rows
     assert isinstance(row, Statistics)
-    assert (row.count, row.frames, row.seeds, row.failures) == (12, 6, 2, {})
+    assert (row.count, row.frames, row.failures) == (12, 6, {})
     assert np.isclose(row.average("rotation_deg"), 1.0)
     assert np.isclose(row.average("translation_m"), 0.1)
     # The axis of `run_of`, (2, 1, -2) / 3 in the LiDAR frame: roll about its x, pitch about its -y, yaw about its -z.

@@ -9,7 +9,7 @@ from p2o import InputError, Registry
 from p2o_study.study import BY_CAMERA, check_study, find_study
 
 REGISTRY = Registry.load()
-STUDY = find_study("rigs", REGISTRY).study
+STUDY = find_study("rigs", REGISTRY)
 
 
 def test_every_rig_that_is_there_has_its_rows_and_the_others_none(tmp_path: Path) -> None:
@@ -50,7 +50,7 @@ def test_one_file_of_splits_chooses_the_frames_of_every_rig(tmp_path: Path) -> N
 
 def test_parts_are_left_out_one_at_a_time_and_nothing_else_changes(tmp_path: Path) -> None:
     (tmp_path / "rigs/nuscenes").mkdir(parents=True)
-    study = find_study("rigs-parts", REGISTRY).study.overridden(root=tmp_path)
+    study = find_study("rigs-parts", REGISTRY).overridden(root=tmp_path)
     plans = [row.resolve(REGISTRY, 0) for row in check_study(study, REGISTRY)]
     whole, *others = (plan.parts for plan in plans)
     changed = [

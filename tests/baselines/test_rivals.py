@@ -17,7 +17,7 @@ SMALL = "synthetic:?scenes=1&width_px=310&height_px=94&place=street&right=false&
 
 
 def variants(name: str, registry: Registry) -> dict[str, object]:
-    return {v.name: v for v in find_study(name, registry).study.variant}
+    return {v.name: v for v in find_study(name, registry).variant}
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +27,7 @@ def registry() -> Registry:
 
 @pytest.mark.parametrize("name", [*STUDIES, "motion", "motion-drive", "motion-long", "learned"])
 def test_every_row_fits_together(name: str, registry: Registry) -> None:
-    assert check_study(find_study(name, registry).study, registry)
+    assert check_study(find_study(name, registry), registry)
 
 
 @pytest.mark.parametrize("name", [*STUDIES, "families"])
@@ -35,20 +35,20 @@ def test_rows_have_the_label_of_their_method_which_names_what_is_missing(name: s
     by_matcher = {preset.words["matcher"]: preset.label for preset in presets(registry).values() if preset.label}
     by_matcher.pop("ogm", None)  # the label of the method `paper`, of which these studies have no row
     assert "without SAM" in by_matcher["mask-consistency"]
-    rows = [row for row in check_study(find_study(name, registry).study, registry) if not row.words.get("calibrator")]
+    rows = [row for row in check_study(find_study(name, registry), registry) if not row.words.get("calibrator")]
     labels = {row.label: by_matcher[row.words["matcher"]] for row in rows if row.words["matcher"] in by_matcher}
     assert len(labels) > 3
     assert [label for label, begin in labels.items() if not label.startswith(begin)] == []
 
 
 def test_networks_are_called_stand_ins_and_are_in_no_table_of_families(registry: Registry) -> None:
-    learned = check_study(find_study("learned", registry).study, registry)
+    learned = check_study(find_study("learned", registry), registry)
     networks = {"calibnet", "calibrcnn", "lccnet", "regnet", "rggnet"}
-    used = [variant.name for variant in find_study("learned", registry).study.variant if variant.calibrator in networks]
+    used = [variant.name for variant in find_study("learned", registry).variant if variant.calibrator in networks]
     assert used
     assert all(name.endswith("-stand-in") for name in used)
     assert learned
-    families = check_study(find_study("families", registry).study, registry)
+    families = check_study(find_study("families", registry), registry)
     assert not networks & {row.words.get("calibrator") for row in families}
 
 
@@ -57,7 +57,7 @@ def test_both_studies_of_motion_have_the_same_methods(registry: Registry) -> Non
 
 
 def test_every_matcher_of_the_baselines_is_among_them(registry: Registry) -> None:
-    rows = check_study(find_study("rivals", registry).study, registry)
+    rows = check_study(find_study("rivals", registry), registry)
     ours = {"ogm"}
     assert {row.words["matcher"] for row in rows} - ours == {
         "crlf", "gmm", "gom", "idt", "knn-line", "line-idt", "lines", "mask-consistency", "mi", "nearest", "nid", "nmi",
@@ -72,7 +72,7 @@ def test_all_of_them_run_on_a_synthetic_frame_and_make_a_page(
     assert main(words) == 0, "none of them raised"
     told = capsys.readouterr().out
     assert "within" in told
-    study = find_study("rivals", registry).study
+    study = find_study("rivals", registry)
     rows = Rows(tmp_path).planned("rivals")
     assert {row.row for row in rows} == {row.label for row in study.rows()}
     assert all(row.seconds for row in rows)

@@ -26,6 +26,7 @@ from p2o_study.ablate import parse_seeds
 from p2o_study.parallel import Workers
 from p2o_study.rows import Rows
 from p2o_study.study import Published, RowTable, Study, check_study, parse_study
+from p2o_study.summary import summary_of_stored
 from p2o_study.worker import Plugins
 
 from tests.study_bench import HEAD, PLUGIN, QUICK, STAGED, TRUSTED, Bench, bits
@@ -623,7 +624,9 @@ def test_datasets_that_are_left_out_are_told_and_the_others_run(
     assert "datasets without a path are left out: more" in capsys.readouterr().err
     rows = Rows(bench.root / "shell")
     assert [row.frames for row in rows.planned("tiny")] == [("tiny/000",)]
-    assert rows.study("tiny").published == (), "published figures of rows that are left out are not in a report"
+    summary = summary_of_stored(rows, rows.study("tiny"))
+    assert summary is not None
+    assert [row.label for group in summary.groups for row in group.rows] == ["quick @ tiny"], "published ones left out"
 
 
 def test_all_frames_of_a_camera_are_one_calibration_that_one_broken_frame_does_not_spoil(bench: Bench) -> None:

@@ -24,7 +24,7 @@ def test_a_basin_is_a_study_of_every_method_from_every_size_of_start() -> None:
     registry = Registry.load()
     contenders = [contender_of(name, None, registry) for name in ("ogm", "nearest")]
     file = basin_study(contenders, GRID, "synthetic:", "0", 3, False)
-    rows = check_study(file.study, registry)
+    rows = check_study(file, registry)
     assert {row.label for row in rows} == {label(c, cell) for c in contenders for cell in GRID.cells}
     assert len(rows) == 2 * 2 * 3
     assert {row.words["perturb"] for row in rows} == {str(cell) for cell in GRID.cells}
@@ -48,7 +48,7 @@ def test_a_row_of_a_study_comes_with_its_words_and_options() -> None:
     registry = Registry.load()
     contender = contender_of("simple", parse_study(text), registry)
     assert contender.words["extractor"] == "depth/rings"
-    [row, *_] = check_study(basin_study([contender], GRID, "synthetic:", "0", 1, True).study, registry)
+    [row, *_] = check_study(basin_study([contender], GRID, "synthetic:", "0", 1, True), registry)
     assert row.words["options"]["matcher"]["huber_px"] == 2.5
     assert row.words["options"]["pipeline"]["rounds"] == 3
     assert row.joint == -1

@@ -46,10 +46,10 @@ def test_every_suite_that_is_shipped_is_valid() -> None:
     for name in known:
         file = find_suite(name, registry)
         assert file.name == name
-        for study_row in file.rows:
+        for study_row in file.all_rows():
             study_row.resolve(registry, study_row.seeds[0])
-        assert file.suite.question
-    frames = {study_row.joint for study_row in find_suite("joint-frames", registry).rows}
+        assert file.question
+    frames = {study_row.joint for study_row in find_suite("joint-frames", registry).all_rows()}
     assert frames == {0, 2, 4, 10, 24}
 
 

@@ -11,9 +11,9 @@ from p2o.cli import main
 from p2o.run.words import split_data
 from p2o_study.benchmark.card import FOLDER, page_text, read_cards
 from p2o_study.benchmark.measure import status_of
-from p2o_study.benchmark.suite import SuiteFile, find_suite, suites
+from p2o_study.benchmark.suite import find_suite, suites
 from p2o_study.rows import Rows
-from p2o_study.study import DatasetTable, StudyFile
+from p2o_study.study import DatasetTable
 from p2o_study.worker import Plugins
 
 from tests.study_bench import PLUGIN
@@ -51,7 +51,7 @@ def folder(tmp_path: Path, text: str = CARD) -> str:
 def test_every_data_set_of_a_suite_has_one_card(name: str) -> None:
     suite = find_suite(name, p2o.Registry.load(environ={}), SUITES)
     cards = read_cards(ROOT / FOLDER)
-    for table in suite.study.study.dataset:
+    for table in suite.dataset:
         owners = [card for card in cards if cards[card].covers(table)]
         assert len(owners) == 1, f"{table.name}: {owners}"
         assert set(table.split) <= set(cards[owners[0]].lists)
@@ -95,16 +95,14 @@ def small(table: DatasetTable) -> DatasetTable:
 @pytest.mark.parametrize("name", [name for name in suites(p2o.Registry.load(environ={})) if name != "smoke"])
 def test_every_suite_is_planned_without_data(name: str, tmp_path: Path) -> None:
     file = find_suite(name, p2o.Registry.load(environ={}), SUITES)
-    study = file.study.study
-    real = {table.name for table in study.dataset if not table.data.startswith("synthetic:")}
-    study = study.model_copy(update={"dataset": tuple(map(small, study.dataset))})
-    reduced = SuiteFile(file.suite, StudyFile(study, file.study.text, file.study.source), file.source)
+    real = {table.name for table in file.dataset if not table.data.startswith("synthetic:")}
+    reduced = file.model_copy(update={"dataset": tuple(map(small, file.dataset))})
     status = status_of(reduced, Rows(tmp_path), plugins=Plugins())
     assert set(status.unchecked) == real
     assert status.unreadable == status.surplus == 0
-    planned = {(row.dataset.name, row.label) for row in file.rows if row.dataset.name not in real}
-    assert {(entry.dataset, entry.row) for entry in status.entries} == planned
-    assert all(len({e.seed for e in status.entries if e.row == label}) == 5 for _, label in planned)
+    planned = {(row.dataset.name, row.label) for row in file.all_rows() if row.dataset.name not in real}
+    assert {(entry.row.dataset, entry.row.row) for entry in status.entries} == planned
+    assert all(len({e.row.seed for e in status.entries if e.row.row == label}) == 5 for _, label in planned)
 
 
 # ---- the command
@@ -177,4 +175,4 @@ def test_cards_are_written_between_the_marks_of_a_page(tmp_path: Path, capsys: p
     assert text.endswith("\n<!-- /cards -->\n\nafter\n")
     page.write_text("<!-- cards -->\nnever closed\n")
     assert main(words) == 2
-    assert "page.md: the marked part of the cards is not valid" in capsys.readouterr().err
+    assert "page.md:1: a marked part is not valid" in capsys.readouterr().err

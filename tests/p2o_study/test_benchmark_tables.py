@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from p2o.cli import main
 from p2o.errors import UnknownNameError
+from p2o_study.benchmark.marks import rendered
 from p2o_study.benchmark.suite import find_suite
-from p2o_study.benchmark.tables import Choice, SuiteTables, rendered
+from p2o_study.benchmark.tables import Choice, SuiteTables, rows_text
 from p2o_study.worker import Plugins
 
 from tests.p2o_study.benchmark_board import QUICK_ROW, SUITE, Board
@@ -89,16 +90,16 @@ def two_data_sets(board: Board) -> SuiteTables:
 
 def test_each_data_set_has_rows_of_its_own_and_a_page_chooses_some(board: Board) -> None:
     tables = two_data_sets(board)
-    lines = [line for line in tables.markdown(Choice("tiny")).splitlines() if line.startswith("| ")]
+    lines = [line for line in tables.markdown(Choice()).splitlines() if line.startswith("| ")]
     assert [line.split(" | ")[:3] for line in lines[1:]] == [
         ["| quick @ tiny", "15", "3"],
         ["| quick @ other", "10", "2"],
     ]
-    [only] = [line for line in tables.markdown(Choice("tiny", data=("other",))).splitlines() if "quick" in line]
+    [only] = [line for line in tables.markdown(Choice(data=("other",))).splitlines() if "quick" in line]
     assert only.startswith("| quick | 10 | 2 |")
-    assert "coverage 67 %" not in tables.markdown(Choice("tiny", columns="brief"))
+    assert "coverage 67 %" not in tables.markdown(Choice(columns="brief"))
     with pytest.raises(UnknownNameError, match="othr"):
-        tables.markdown(Choice("tiny", data=("othr",)))
+        tables.markdown(Choice(data=("othr",)))
 
 
 def test_labels_with_commas_are_chosen_by_their_whole_words(board: Board) -> None:
@@ -107,16 +108,17 @@ def test_labels_with_commas_are_chosen_by_their_whole_words(board: Board) -> Non
     page = "<!-- rows: tiny; methods: quick, 3 frames -->\n<!-- /rows -->\n"
     registry = Plugins.of((), (str(PLUGIN),)).registry()
     tables = SuiteTables.read(find_suite(str(board.root / "tiny.toml"), registry), board.results)
-    first = {line.split(" | ")[0] for line in rendered(page, "page.md", lambda suite: tables).splitlines()}
+    writers = {"rows": rows_text(lambda suite: tables)}
+    first = {line.split(" | ")[0] for line in rendered(page, "page.md", writers).splitlines()}
     assert "| quick, 3 frames" in first
     assert "| quick" not in first
     text = HEAD + QUICK_ROW.replace("witness", 'section = "one"\nwitness')
     text += QUICK_ROW.replace('"quick"', '"other"', 1).replace("witness", 'section = "two"\nwitness')
     board.write(study=text)
     apart = SuiteTables.read(find_suite(str(board.root / "tiny.toml"), registry), board.results)
-    assert apart.markdown(Choice("tiny")).count("**") == 4
-    assert apart.markdown(Choice("tiny", sections="together")).count("**") == 2
-    both = rendered(page.replace("frames", "frames, quick"), "page.md", lambda suite: tables)
+    assert apart.markdown(Choice()).count("**") == 4
+    assert apart.markdown(Choice(sections="together")).count("**") == 2
+    both = rendered(page.replace("frames", "frames, quick"), "page.md", writers)
     assert "| quick |" in both
 
 

@@ -37,12 +37,12 @@ def test_a_million_calibrations_are_known_and_none_of_them_is_held() -> None:
         cells = cells_of(1000, 1000, row)
         assert len(cells) == 10**6
         first, last = cells[0], cells[-1]
-        some = [cells[position].planned.key for position in range(0, 10**6, 50_000)]
+        some = [cells[position].row.key for position in range(0, 10**6, 50_000)]
         _, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert (first.planned.seed, first.group.records[0].name) == (0, "tiny/000")
-    assert (last.planned.seed, last.group.records[0].name) == (999, "tiny/999")
+    assert (first.row.seed, first.group.records[0].name) == (0, "tiny/000")
+    assert (last.row.seed, last.group.records[0].name) == (999, "tiny/999")
     assert len(set(some)) == len(some)
     assert peak < 50 * 2**20, "50 bytes for each of them"
 
@@ -53,12 +53,12 @@ def test_a_calibration_is_the_same_in_turn_and_by_its_place() -> None:
     )
     cells = cells_of(5, 2, rows)
     assert len(cells) == 5 * 2 + 3 * 3
-    in_turn = [(cell.planned.key, cell.planned.seed, [fact.name for fact in cell.group.records]) for cell in cells]
+    in_turn = [(cell.row.key, cell.row.seed, [fact.name for fact in cell.group.records]) for cell in cells]
     assert len({key for key, _, _ in in_turn}) == len(cells)
     for position in (18, 3, 11, 0, 10, 9, -1):
         cell = cells[position]
-        assert (cell.planned.key, cell.planned.seed, [fact.name for fact in cell.group.records]) == in_turn[position]
-    assert [cell.planned.key for cell in cells[8:12]] == [key for key, _, _ in in_turn[8:12]]
+        assert (cell.row.key, cell.row.seed, [fact.name for fact in cell.group.records]) == in_turn[position]
+    assert [cell.row.key for cell in cells[8:12]] == [key for key, _, _ in in_turn[8:12]]
     assert [(group.joint, seed) for _, group, seed in map(cells.place, (9, 10, 18))] == [(0, 1), (2, 0), (1, 2)]
     with pytest.raises(IndexError):
         cells[len(cells)]
@@ -80,4 +80,4 @@ def test_a_calibration_from_another_initial_guess_has_another_key() -> None:
     )
     assert near.method.digest == far.method.digest
     assert near.group.content == far.group.content
-    assert near.planned.key == same.planned.key != far.planned.key
+    assert near.row.key == same.row.key != far.row.key

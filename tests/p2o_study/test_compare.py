@@ -160,8 +160,8 @@ def test_names_are_presets_with_the_options_of_their_study_and_families() -> Non
     assert contenders[2].options["pipeline"]["rounds"] == 1
     assert contenders[1].options == {"init": {"prior": 0.0}}
     file = module.compare_study(contenders, "synthetic:?scenes=5", [[0, 5], [1]], 2)
-    assert file.study.dataset[0].frames == "0:1,5:6"
-    families = {row.section: family_of(row.resolve(registry, 0)) for row in file.study.rows()}
+    assert file.dataset[0].frames == "0:1,5:6"
+    families = {row.section: family_of(row.resolve(registry, 0)) for row in file.rows()}
     assert [*families.values()] == [*["edges"] * 2, "information", "edges", "motion", "targets", "network", "segments"]
     with pytest.raises(UnknownNameError, match="did you mean hand-eye"):
         contenders_of(["ours", "hand-eyes"], registry)

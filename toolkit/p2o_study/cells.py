@@ -27,7 +27,7 @@ from p2o_study import worker
 from p2o_study.damage import STAGE as DAMAGE
 from p2o_study.damage import Damage
 from p2o_study.keys import features_key, method_content
-from p2o_study.row import GIVEN, UNREADABLE, Case, Environment, Planned, Row, frame_digest, rounded_pose
+from p2o_study.row import GIVEN, UNREADABLE, Case, Environment, Row, frame_digest, rounded_pose
 from p2o_study.row import Frame as FrameOfCase
 from p2o_study.row import Method as MethodOfRow
 from p2o_study.study import ALL_JOINT, BY_CAMERA, BY_RIG, MAX_SEEDS, StudyRow, with_place
@@ -94,11 +94,6 @@ class Method:
         words = {w: str(v) for w, v in self.described.items() if v and w not in _OF_CASE and isinstance(v, str)}
         options = {stage: values for stage, values in self.described["options"].items() if stage != "data"}
         return MethodOfRow(self.digest, words, options)
-
-    @property
-    def extractors(self) -> dict[str, tuple[str, str]]:
-        """Recipe and stage by part name, for each stage whose output can be cached."""
-        return {name: (self.recipe, stage) for stage, name, _ in self.prepared}
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,13 +230,13 @@ def _of_one_camera(first: FrameRecord, other: FrameRecord) -> bool:
 class Group:
     """Frames of one calibration of a row; `joint` is their number, 0 for a single frame.
 
-    `check` is the recipe (JSON) whose required inputs are checked. The frames of a `rig` are those of all its cameras;
+    `plan` has the methods whose required inputs are checked. The frames of a `rig` are those of all its cameras;
     its poses are camera_from_lidar of the camera of the first frame.
     """
 
     records: tuple[FrameRecord, ...]
     joint: int
-    check: str
+    plan: Plan
     rig: bool = False
 
     @cached_property
@@ -283,14 +278,16 @@ class Group:
         frames = [[frame.name, frame.content] for frame in map(frame_of, self.records)]
         return content_hash({"joint": bool(self.joint), "frames": frames, "rig": self.rig})
 
-    @property
+    @cached_property
     def failure(self) -> tuple[str, str] | None:
         """Reason and traceback of the first frame that cannot be read or lacks a required input."""
         for record in self.records:
             if record.failure is not None:
                 return record.reason, record.failure
-            if self.check in record.missing_inputs:
-                return record.missing_inputs[self.check], record.missing_inputs[self.check]
+            try:
+                self.plan.check_contents(record.name, frozenset(record.contents))
+            except InputError as problem:
+                return str(problem), str(problem)
         return None
 
 
@@ -307,18 +304,11 @@ InitialGuess = Callable[[str, Sequence[FrameRecord], Float | None, int], Float]
 
 @dataclass(frozen=True, eq=False)
 class Cell:
-    """One calibration: a row of the table on the frames of a group, and the methods that compute it."""
+    """One calibration: the row with all values that are known before, frames, and the methods that compute it."""
 
-    planned: Planned
+    row: Row
     method: Method
     group: Group
-
-    @property
-    def row(self) -> Row:
-        """The row with all values that are known before the calibration."""
-        planned = self.planned
-        known = {name: getattr(planned, name) for name in Planned.__dataclass_fields__}
-        return Row(**known, environment=Environment(versions=self.method.versions))
 
 
 class Cells(Sequence[Cell]):
@@ -330,19 +320,19 @@ class Cells(Sequence[Cell]):
         records: Mapping[Source, FrameRecord],
         initial_guess: InitialGuess | None = None,
     ) -> None:
-        self._initial_guess = initial_guess
+        self._rows, self._initial_guess = rows, initial_guess
+        self._groups: list[list[Group]] = []
         known: dict[tuple[int, int], list[tuple[FrameRecord, ...]]] = {}
-        self._rows = rows
-        self._groups: list[list[tuple[FrameRecord, ...]]] = []
         for entry in rows:
+            joint, plan = entry.row.joint, entry.first.plan
             # Rows on the same frames share the groups.
-            its = entry.row.joint, id(entry.sources)
-            if its not in known:
-                known[its] = groups_of(entry.row.joint, [records[source] for source in entry.sources])
-            self._groups.append(known[its])
+            frames = joint, id(entry.sources)
+            if frames not in known:
+                known[frames] = groups_of(joint, [records[source] for source in entry.sources])
+            own = [Group(some, len(some) if joint else 0, plan, joint == BY_RIG) for some in known[frames]]
+            self._groups.append(own)
         counts = (len(groups) * len(entry.row.seeds) for entry, groups in zip(rows, self._groups, strict=True))
         self._ends = list(accumulate(counts))
-        self._last: tuple[int, int, Group] | None = None
 
     def __len__(self) -> int:
         return self._ends[-1] if self._ends else 0
@@ -372,7 +362,9 @@ class Cells(Sequence[Cell]):
         )
         guess = None if start is None else rounded_pose(start)
         key = content_hash([method.digest, seed, group.content, guess])[:_KEY_LENGTH]
-        return Cell(Planned(key, row.label, case, method.of_row, row.section), method, group)
+        environment = Environment(versions=method.versions)
+        planned = Row(key, row.label, case, method.of_row, row.section, environment=environment)
+        return Cell(planned, method, group)
 
     def place(self, position: int) -> tuple[OpenRow, Group, int]:
         """Return row, frames and seed of a calibration without building the cell."""
@@ -382,28 +374,18 @@ class Cells(Sequence[Cell]):
         at = bisect_right(self._ends, position)
         entry = self._rows[at]
         number, seed = divmod(position - (self._ends[at - 1] if at else 0), len(entry.row.seeds))
-        last = self._last
-        if last is None or last[:2] != (at, number):
-            records = self._groups[at][number]
-            joint, rig = len(records) if entry.row.joint else 0, entry.row.joint == BY_RIG
-            group = Group(records, joint, entry.first.recipe, rig)
-            # Successive cells are the seeds of a row on the same frames.
-            self._last = last = at, number, group
-        return entry, last[2], entry.row.seeds[seed]
+        return entry, self._groups[at][number], entry.row.seeds[seed]
 
 
-class FeatureKeys:
+class FeatureKeys(dict[tuple[str, str], str]):
     """The cache keys of the features of frames; each is computed once for all seeds and rows."""
 
-    def __init__(self) -> None:
-        self._known: dict[tuple[str, str], str] = {}
-
-    def of(self, method: Method, records: FrameRecord) -> dict[str, str]:
+    def of(self, method: Method, record: FrameRecord) -> dict[str, str]:
         """Return by stage the cache key of the features of a frame, for stages whose output can be cached."""
         keys = {}
         for stage, name, part in method.prepared:
-            seen = name, records.inputs[INPUTS[stage]]
-            if seen not in self._known:
-                self._known[seen] = features_key(part, seen[1])
-            keys[stage] = self._known[seen]
+            content = record.inputs[INPUTS[stage]]
+            if (name, content) not in self:
+                self[name, content] = features_key(part, content)
+            keys[stage] = self[name, content]
         return keys

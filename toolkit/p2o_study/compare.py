@@ -6,7 +6,6 @@ The calibrations are rows of a study with a dataset per group, so they are store
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -34,14 +33,13 @@ from p2o_study import ablate as studies
 from p2o_study import comparison as figures
 from p2o_study import worker
 from p2o_study.ablate import MAX_CALIBRATIONS, Ablation
-from p2o_study.basin import study_file
 from p2o_study.cells import OpenRow, open_rows
 from p2o_study.comparison import MIN_GROUPS
 from p2o_study.keys import features_key
 from p2o_study.parallel import Workers
 from p2o_study.row import NORMS, Row
 from p2o_study.statistics import Statistics
-from p2o_study.study import StudyFile, check_study
+from p2o_study.study import Study, check_study, study_of
 from p2o_study.worker import FrameRecord, Plugins, ReadJob, Source
 
 JUDGES = {"edges": "ours", "nid": "nid"}
@@ -82,9 +80,10 @@ def split_frames(data: str, frames: str, groups: int, registry: Registry) -> lis
     return [indices[first::groups] for first in range(groups)]
 
 
-def compare_study(contenders: Sequence[Preset], data: str, groups: Sequence[Sequence[int]], seeds: Any) -> StudyFile:
+def compare_study(contenders: Sequence[Preset], data: str, groups: Sequence[Sequence[int]], seeds: Any) -> Study:
     """Return the study: a row per method, a dataset per group, each calibrated jointly."""
     content = {
+        "name": "compare",
         "title": "Comparison without ground truth",
         "joint": True,
         "seeds": seeds,
@@ -95,7 +94,7 @@ def compare_study(contenders: Sequence[Preset], data: str, groups: Sequence[Sequ
         ],
         "row": [{"label": c.name, "section": c.name, **c.words, "options": c.options} for c in contenders],
     }
-    return study_file("compare", content)
+    return study_of(content, "compare")
 
 
 def _group(number: int) -> str:
@@ -213,10 +212,10 @@ def compare(
     workers, cache, registry = workers or Workers(), cache or FeatureCache.of_user(), plugins.registry()
     guesses = Guesses.of(start, perturb, registry)
     parts = split_frames(data, frames, groups, registry)
-    file = compare_study(contenders, data, parts, seeds if isinstance(seeds, int) else list(seeds))
+    study = compare_study(contenders, data, parts, seeds if isinstance(seeds, int) else list(seeds))
     words |= {"plugins": plugins, "workers": workers, "cache": cache, "initial_guess": guesses, "seeds_first": True}
-    done = studies.ablate(file, folder, **words)
-    plans = {row.section: row.resolve(registry, row.seeds[0]) for row in file.study.rows()}
+    done = studies.ablate(study, folder, **words)
+    plans = {row.section: row.resolve(registry, row.seeds[0]) for row in study.rows()}
     readable = [n for n in range(groups) if all(r.start is not None for r in done.rows if r.dataset == _group(n))]
     rows = [row for row in done.rows if row.dataset in set(map(_group, readable))]
     if done.interrupted or done.missing:
@@ -238,8 +237,8 @@ def compare(
         judges = {judge: _evaluating(published[name]) for judge, name in JUDGES.items() if name in published}
     judging = {}
     for judge, contender in judges.items():
-        study = compare_study([contender], data, [parts[n] for n in readable], 1).study
-        judging[judge] = open_rows(check_study(study, registry), plugins, MAX_CALIBRATIONS)
+        judge_study = compare_study([contender], data, [parts[n] for n in readable], 1)
+        judging[judge] = open_rows(check_study(judge_study, registry), plugins, MAX_CALIBRATIONS)
     return done, _compared(rows, plans, judging, workers, cache, str(guesses.size))
 
 
@@ -378,21 +377,19 @@ def _lost(job: JudgeJob, problem: BaseException) -> tuple[JudgeJob, Float, str]:
 
 def _costs(job: JudgeJob) -> Float:
     """Return the costs (P,): of directed edges if the judge has edges, else of its matcher; the features are cached."""
-    plan, cache = (
-        Recipe.of(**json.loads(job.recipe)).resolve(job.sources[0].plugins.registry()),
-        FeatureCache(job.cache),
-    )
+    plan, cache = worker.plan_of(job.sources[0].plugins, job.recipe), worker.BestEffortCache(job.cache)
     pipeline, views = plan.calibrator(), []
     assert isinstance(pipeline, Pipeline)
     for source in job.sources:
-        record = worker.read(ReadJob(source, job.cache, (), tuple((job.recipe, stage) for stage in _EXTRACTORS)))
+        record = worker.read(ReadJob(source, job.cache))
         if record.failure is not None or record.camera is None:
             raise InputError(record.reason, where=record.name)
-        keys = [(features_key(plan.parts[stage], record.inputs[INPUTS[stage]]), stage) for stage in _EXTRACTORS]
-        image, cloud = (cache.get(key, plan.parts[stage].offer) for key, stage in keys)
-        if image is None or cloud is None:
-            raise InputError("the features of the judge cannot be extracted or cached", where=record.name)
-        views.append(pipeline.view(record.name, record.camera, image.features, cloud.features, record.twist))
+        parts = [(stage, plan.parts[stage]) for stage in _EXTRACTORS]
+        keys = [features_key(part, record.inputs[INPUTS[stage]]) for stage, part in parts]
+        image, cloud = (
+            worker.prepared(cache, key, source, part, stage)[0] for key, (stage, part) in zip(keys, parts, strict=True)
+        )
+        views.append(pipeline.view(record.name, record.camera, image, cloud, record.twist))
     seen = pipeline.visible(views, job.around).corrected
     if pipeline.needs >= EDGES:
         return DirectedJudge.of(seen, job.around, list(job.poses), pipeline.options.judge_px).cost(job.poses)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -98,16 +98,7 @@ def make_reference(study: Study, rows: Sequence[Row], old: Reference | None = No
     """Return the reference of finished rows; tolerances of the old reference are kept."""
     tolerance = old.tolerance if old is not None else Tolerance(mean={}, run={})
     usual: dict[str, float] = {metric: TOLERANCE[metric.rpartition("_")[2]] for metric in study.metrics}
-    references = {
-        label: RowReference(
-            count=len(own),
-            failures=sum(not row.solved for row in own),
-            trust=dict(Statistics(own).trust),
-            mean={metric: None if np.isnan(value) else value for metric, value in _means(own, study.metrics).items()},
-            runs={_name(row): _errors(row, study.metrics) for row in own},
-        )
-        for label, own in by_label(rows).items()
-    }
+    references = {label: _row_reference(own, study.metrics) for label, own in by_label(rows).items()}
     exceptions = {label: values for label, values in tolerance.rows.items() if label in references}
     changes = {"mean": {**usual, **tolerance.mean}, "rows": exceptions, "run": {**usual, **tolerance.run}}
     return Reference(study=study.name, tolerance=tolerance.model_copy(update=changes), rows=references)
@@ -135,94 +126,77 @@ def judge(study: Study, rows: Sequence[Row], missing: Sequence[PlanRow], referen
             if label not in absent_rows:
                 failures.append(f"{label}: in the reference, but not in the study")
             continue
-        own = stored[label]
-        means = _unimproved(own, expected, study.metrics)
-        failures += _worse(label, Statistics(own), means, expected, reference.tolerance)
-        runs = {_name(row): _errors(row, study.metrics) for row in own}
-        absent = [name for name in expected.runs if name not in runs]
-        if absent:
-            failures.append(f"{label}: {len(absent)} calibrations of the reference are missing, such as {absent[0]}")
-        moved += _moved(label, Statistics(own), means, runs, expected, reference.tolerance)
+        compared = _compared(label, stored[label], study.metrics, expected, reference.tolerance)
+        failures, moved = failures + compared[0], moved + compared[1]
     return Ruling(tuple(failures), tuple(moved))
 
 
-def _means(rows: Sequence[Row], metrics: Sequence[str]) -> dict[str, float]:
-    """Return the mean absolute error by metric, NaN where no error is known."""
+def _row_reference(rows: Sequence[Row], metrics: Sequence[str]) -> RowReference:
     statistics = Statistics(rows)
-    return {metric: statistics.average(metric) for metric in metrics}
+    means = {metric: statistics.average(metric) for metric in metrics}
+    return RowReference(
+        count=len(rows),
+        failures=sum(not row.solved for row in rows),
+        trust=dict(statistics.trust),
+        mean={metric: None if np.isnan(value) else value for metric, value in means.items()},
+        runs={_name(row): _errors(row, metrics) for row in rows},
+    )
 
 
-def _unimproved(rows: Sequence[Row], expected: RowReference, metrics: Sequence[str]) -> dict[str, float]:
-    """Return means in which a refusal is no improvement.
+def _unimproved(rows: Sequence[Row], expected: RowReference, metric: str) -> float:
+    """Return a mean in which a refusal is no improvement, NaN where no error is known.
 
     A refused calibration has the error of its initial guess. If the reference has an estimate with a larger error, the
     larger one counts: otherwise a method would become better by refusing its worst frames.
     """
-    means: dict[str, float] = {}
-    for metric in metrics:
-        errors = []
-        for row in rows:
-            before = None if row.solved else (expected.runs.get(_name(row)) or {}).get(metric)
-            if (error := row.error_of(metric)) is not None:
-                errors.append(max(abs(error), before or 0.0))
-        means[metric] = float(np.mean(errors)) if errors else float("nan")
-    return means
+    errors = []
+    for row in rows:
+        before = None if row.solved else (expected.runs.get(_name(row)) or {}).get(metric)
+        if (error := row.error_of(metric)) is not None:
+            errors.append(max(abs(error), before or 0.0))
+    return float(np.mean(errors)) if errors else float("nan")
 
 
-def _worse(
-    label: str, statistics: Statistics, means: Mapping[str, float], expected: RowReference, tolerance: Tolerance
-) -> list[str]:
-    out = []
+def _compared(
+    label: str, rows: Sequence[Row], metrics: Sequence[str], expected: RowReference, tolerance: Tolerance
+) -> tuple[list[str], list[str]]:
+    """Return why a row closes the gate, and what changed: verdicts, means and the most changed calibrations."""
+    now, failures, moved = _row_reference(rows, metrics), list[str](), list[str]()
+    if expected.trust and expected.trust != now.trust:
+        moved.append(f"{label}: {trust_text(expected.trust)} -> {trust_text(now.trust)}")
     for metric, before in expected.mean.items():
-        now = means.get(metric)
-        if before is not None and now is None:
-            out.append(f"{label}: mean {metric} is not measured, was {before:.4f}")
-        allowed = tolerance.rows.get(label, {}).get(metric, tolerance.mean.get(metric, 0.0))
+        if before is None:
+            continue
+        if metric not in metrics:
+            failures.append(f"{label}: mean {metric} is not measured, was {before:.4f}")
+            continue
+        mean, allowed = _unimproved(rows, expected, metric), tolerance.mean.get(metric, 0.0)
+        most = before + tolerance.rows.get(label, {}).get(metric, allowed)
         # The negated comparison also fails for NaN.
-        if before is not None and now is not None and not now <= before + allowed:
-            out.append(f"{label}: mean {metric} {now:.4f}, was {before:.4f} and may be {before + allowed:.4f}")
-    if statistics.refused > expected.failures + tolerance.failures:
-        count = f"{statistics.refused} of {statistics.count}"
-        out.append(f"{label}: {count} calibrations were refused, was {expected.failures}")
-    return out
-
-
-def _moved(
-    label: str,
-    statistics: Statistics,
-    means: Mapping[str, float],
-    runs: Mapping[str, Mapping[str, float | None] | None],
-    expected: RowReference,
-    tolerance: Tolerance,
-) -> list[str]:
-    """Return lines on changed verdicts and means of the row, and on the calibrations that changed most."""
-    lines = []
-    if expected.trust and expected.trust != statistics.trust:
-        lines.append(f"{label}: {trust_text(expected.trust)} -> {trust_text(statistics.trust)}")
-    for metric, before in expected.mean.items():
-        now = means.get(metric)
-        if before is not None and now is not None and abs(now - before) > 1e-9 * max(1.0, abs(before)):
-            lines.append(f"{label}: mean {metric} {before:.4f} -> {now:.4f}")
+        if not mean <= most:
+            failures.append(f"{label}: mean {metric} {mean:.4f}, was {before:.4f} and may be {most:.4f}")
+        if abs(mean - before) > 1e-9 * max(1.0, abs(before)):
+            moved.append(f"{label}: mean {metric} {before:.4f} -> {mean:.4f}")
+    refused = sum(not (row.solved or row.crashed) for row in rows)
+    if refused > expected.failures + tolerance.failures:
+        failures.append(f"{label}: {refused} of {now.count} calibrations were refused, was {expected.failures}")
+    if absent := [name for name in expected.runs if name not in now.runs]:
+        failures.append(f"{label}: {len(absent)} calibrations of the reference are missing, such as {absent[0]}")
     changes: list[tuple[float, str]] = []
-    for name, before_run in expected.runs.items():
-        if name not in runs:
-            continue
-        now_run = runs[name]
-        if before_run is None or now_run is None:
-            if (before_run is None) != (now_run is None):
-                words = ("was refused, now solved", "was solved, now refused or crashed")[before_run is not None]
-                changes.append((float("inf"), f"{label}, {name}: {words}"))
-            continue
-        for metric, value in before_run.items():
-            later, allowed = now_run.get(metric), tolerance.run.get(metric, 0.0)
+    for name, old in expected.runs.items():
+        new = now.runs.get(name)
+        if name in now.runs and (old is None) != (new is None):
+            words = "was refused, now solved" if old is None else "was solved, now refused or crashed"
+            changes.append((float("inf"), f"{label}, {name}: {words}"))
+        for metric, value in (old or {}).items():
+            later, allowed = (new or {}).get(metric), tolerance.run.get(metric, 0.0)
             if value is not None and later is not None and abs(later - value) > allowed:
                 size = abs(later - value) / max(allowed, 1e-9)
                 changes.append((size, f"{label}, {name}: {metric} {value:.4f} -> {later:.4f}"))
     changes.sort(key=lambda change: -change[0])
-    lines += [f"  {text}" for _, text in changes[:_SHOWN]]
-    if len(changes) > _SHOWN:
-        lines.append(f"  and {len(changes) - _SHOWN} more")
-    return lines
+    moved += [f"  {text}" for _, text in changes[:_SHOWN]]
+    moved += [f"  and {len(changes) - _SHOWN} more"] if len(changes) > _SHOWN else []
+    return failures, moved
 
 
 def read_reference(path: str | Path) -> Reference:

@@ -1,4 +1,4 @@
-"""Run jobs on several processes or machines through joblib.
+"""Run jobs on several processes or machines, with loky, dask or ray.
 
 Libraries inside a job use one thread: results are bit-identical for any number of workers, and jobs do not compete for
 cores.
@@ -21,16 +21,15 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cache, partial
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 from p2o.errors import InputError, MethodUnavailable, P2OError, one_line
 from p2o.runtime.native import keep_freed_memory
 
 Backend = Literal["loky", "dask", "ray"]
-BACKENDS: tuple[Backend, ...] = ("loky", "dask", "ray")
 
 _PACKAGES = {"dask": ("distributed", "dask distributed"), "ray": ("ray", "ray")}
 """The package of a backend, and the arguments of pip to install it."""
@@ -41,7 +40,7 @@ _DASK_LOGGERS = ("distributed", "tornado", "asyncio")
 _POLL_INTERVAL_S = 0.5
 _CONNECT_S = 20.0
 _ABSENT_S = 60.0
-"""Duration for which a dask scheduler may have no workers or give no answer: those of a cluster may be restarted."""
+"""Duration for which a cluster may have no workers or give no answer: those of a cluster may be restarted."""
 _TRANSFER_S = 10.0
 """Duration after which the presence of workers is checked while the result of a complete job is transferred."""
 _IDLE_S = 300
@@ -85,9 +84,9 @@ class Workers:
     def start(self) -> Iterator[Run]:
         """Yield `run(work, jobs, lost)`, which yields the result of `work` for each job, in the order of completion.
 
-        Jobs are taken from the iterable on demand, possibly from another thread. Closing the generator of `run` cancels
-        unfinished jobs. If a worker dies, the running jobs are repeated one by one in new workers; for a job whose
-        worker dies every time, `lost(job, problem)` is yielded. Raises P2OError if the cluster is lost.
+        Jobs are taken from the iterable on demand. Closing the generator of `run` cancels unfinished jobs. If a worker
+        dies, the running jobs are repeated one by one in new workers; for a job whose worker dies every time,
+        `lost(job, problem)` is yielded. Raises P2OError if the cluster is lost.
         """
         in_process = self.backend == "loky" and self.jobs == 1 and not self.isolate
         if self.backend == "loky" and not in_process and (cause := _cannot_start()):
@@ -98,25 +97,33 @@ class Workers:
             with _single_threaded():
                 yield lambda work, jobs, lost: (work(job) for job in jobs)
         else:
-            with self._cluster():
-                yield self._run
+            pools: dict[str, type[_Pool]] = {"loky": _Loky, "dask": _Dask, "ray": _Ray}
+            pool = pools[self.backend](self.jobs, self.address)
+            with pool.connected():
+                yield partial(self._run, pool)
 
-    def _run(self, work: Work, jobs: Iterable[Any], lost: Lost) -> Generator[Any, None, None]:
-        waiting = _Waiting(jobs)
+    def _run(self, pool: _Pool, work: Work, jobs: Iterable[Any], lost: Lost) -> Generator[Any, None, None]:
+        waiting, under_way = enumerate(jobs), dict[int, Any]()
+
+        def taken() -> Iterator[tuple[int, Any]]:
+            for number, job in waiting:
+                under_way[number] = job
+                yield number, job
+
         try:
-            while True:
+            ended = False
+            while not ended:
                 try:
-                    for number, result in self._attempt(work, waiting):
-                        waiting.done(number)
+                    for number, result in _results(pool, work, taken()):
+                        del under_way[number]
                         yield result
-                except _deaths(self.backend):
+                    ended = True
+                except pool.deaths:
                     # The backend does not report which job terminated the worker: repeat each separately.
-                    for number, job in waiting.under_way():
-                        result = self._alone(work, number, job, lost)
-                        waiting.done(number)
+                    for number, job in list(under_way.items()):
+                        result = _result_alone(pool, work, job, lost)
+                        del under_way[number]
                         yield result
-                if not waiting.under_way() and waiting.exhausted:
-                    return
         except (P2OError, GeneratorExit, KeyboardInterrupt):
             raise
         except Exception as problem:
@@ -129,126 +136,19 @@ class Workers:
                 got = "the scheduler does not respond, or has no workers"
             raise P2OError(text, where=self.address, got=got, hint=hint) from problem
 
-    def _alone(self, work: Work, number: int, job: Any, lost: Lost) -> Any:
-        """Return the result of a job that was running when a worker died."""
-        death: BaseException | None = None
-        for _ in range(_TRIES_ALONE):
-            try:
-                [(_, result)] = self._attempt(work, [(number, job)])
-            except _deaths(self.backend) as problem:
-                death = problem
-            else:
-                return result
-        lost_with = P2OError(
-            f"the worker process died in each of {1 + _TRIES_ALONE} attempts, {_TRIES_ALONE} of them without other "
-            "jobs",
-            expected="a job that returns",
-            # loky reports the signal.
-            got=", ".join(sorted(set(re.findall(r"SIG[A-Z]+", str(death))))) or type(death).__name__,
-            hint="out of memory: use fewer --jobs or smaller frames; or native code has crashed",
-        )
-        return lost(job, lost_with)
 
-    def _attempt(self, work: Work, jobs: Iterable[tuple[int, Any]]) -> Generator[tuple[int, Any], None, None]:
-        """Yield number and result of each numbered job until a worker dies."""
-        import joblib
-
-        done: Any = None
-        batches = _Batches(jobs)
-        # Only the workers of loky are children of this process.
-        watch = {"initializer": _watch, "initargs": (os.getpid(),)} if self.backend == "loky" else {}
-        if self.backend in _PACKAGES:
-            yield from {"dask": _dask_results, "ray": _ray_results}[self.backend](work, batches)
-            return
-        if (submit := self._single_worker(watch)) is not None:
-            for batch in batches:
-                yield from batches.results_of(*submit(_numbered, work, batch).result())
-            return
-        try:
-            with joblib.parallel_config(backend=self.backend, **watch):
-                tasks = (joblib.delayed(_numbered)(work, batch) for batch in batches)
-                done = joblib.Parallel(n_jobs=self.jobs, batch_size=1, return_as="generator_unordered")(tasks)
-                for took_s, results in done:
-                    yield from batches.results_of(took_s, results)
-        finally:
-            if done is not None:
-                done.close()
-
-    def _single_worker(self, watch: dict[str, Any]) -> Callable[..., Any] | None:
-        """Return `submit` of the only worker of loky, None for others: joblib would run single jobs in this process."""
-        submit: Callable[..., Any] | None = None
-        if self.backend == "loky" and self.jobs == 1:
-            from joblib.externals.loky import get_reusable_executor
-
-            submit = get_reusable_executor(max_workers=1, timeout=_IDLE_S, **watch).submit
-        return submit
-
-    @contextlib.contextmanager
-    def _cluster(self) -> Iterator[None]:
-        """Connect to the cluster, or start one on this machine."""
-        if self.backend == "dask":
-            import distributed
-
-            connect: Any = distributed.Client
-            here = {"n_workers": self.jobs, "threads_per_worker": 1, "dashboard_address": None}
-            if not _debugging():
-                here["silence_logs"] = logging.CRITICAL
-            # Jobs of workers that died are repeated by `_alone`.
-            once = importlib.import_module("dask").config.set({"distributed.scheduler.allowed-failures": 0})
-            with _silent_dask(), once:
-                try:
-                    client = connect(**here) if self.address is None else connect(self.address, timeout=_CONNECT_S)
-                except (OSError, ValueError, TimeoutError) as problem:
-                    text, expected = "the dask scheduler does not respond", "an address such as tcp://HOST:8786"
-                    raise InputError(text, where=self.address or "dask", expected=expected, got=problem) from problem
-                try:
-                    yield
-                finally:
-                    # Of a cluster that is lost, also RuntimeError by asyncio: a timeout that ends while it is changed.
-                    with contextlib.suppress(TimeoutError, OSError, RuntimeError):
-                        client.close(timeout=_ABSENT_S)
-        elif self.backend == "ray":
-            ray = importlib.import_module("ray")
-            level = logging.INFO if _debugging() else logging.ERROR
-            cpus = None if self.address else self.jobs
-            try:
-                _require_listener(self.address)  # ray itself would try for minutes
-                ray.init(address=self.address, num_cpus=cpus, log_to_driver=False, logging_level=level)
-            except (OSError, ValueError, RuntimeError) as problem:
-                text, expected = "the ray cluster does not respond", "auto, or an address such as HOST:6379"
-                raise InputError(text, where=self.address or "ray", expected=expected, got=problem) from problem
-            try:
-                yield
-            finally:
-                ray.shutdown()
-        else:
-            ended = False
-            try:
-                yield
-                ended = True
-            finally:
-                _dismiss_workers(kill=not ended)
-
-
-def _dask_results(work: Work, batches: _Batches) -> Generator[tuple[int, Any], None, None]:
-    """Yield number and result of each job until a worker dies, then cancel the others.
-
-    joblib waits without end if a worker dies, and runs the jobs of a single worker in this process. Raises TimeoutError
-    if the cluster is lost.
-    """
-    client = importlib.import_module("distributed").default_client()
-    client.wait_for_workers(1, timeout=_ABSENT_S)  # a worker that died may be about to restart
-    running, complete, waiting = set[Any](), queue.SimpleQueue[Any](), iter(batches)
+def _results(pool: _Pool, work: Work, jobs: Iterable[tuple[int, Any]]) -> Generator[tuple[int, Any], None, None]:
+    """Yield number and result of each numbered job until a worker dies, then cancel the others."""
+    batches, running = _Batches(jobs), set[Any]()
+    waiting = iter(batches)
+    pool.prepare()
     try:
         while True:
-            while len(running) < 2 * max(1, _dask_processors(client)):
-                if (batch := next(waiting, None)) is None:
-                    break
-                running.add(future := client.submit(_numbered, work, batch, pure=False))
-                future.add_done_callback(complete.put)
+            while len(running) < 2 * max(1, pool.processors()) and (batch := next(waiting, None)) is not None:
+                running.add(pool.submit(work, batch))
             if not running:
                 return
-            future, timed_results = _next_complete(client, complete)
+            future, timed_results = pool.complete(running)
             running.remove(future)
             yield from batches.results_of(*timed_results)
     except TimeoutError:
@@ -256,75 +156,198 @@ def _dask_results(work: Work, batches: _Batches) -> Generator[tuple[int, Any], N
         raise
     finally:
         with contextlib.suppress(Exception):
-            client.cancel(list(running))
+            pool.cancel(running)
 
 
-def _ray_results(work: Work, batches: _Batches) -> Generator[tuple[int, Any], None, None]:
-    """Yield number and result of each job until a worker dies, then cancel the others.
-
-    The backend of joblib returns results only when all tasks of a call are complete, and starts new workers for each
-    call. Raises TimeoutError if the cluster is without processors for `_ABSENT_S`.
-    """
-    ray = importlib.import_module("ray")
-    task = ray.remote(max_retries=0)(_numbered)  # jobs of workers that died are repeated by `_alone`
-    running, waiting = list[Any](), iter(batches)
-    try:
-        while True:
-            while len(running) < 2 * max(1, _ray_processors(ray)):
-                if (batch := next(waiting, None)) is None:
-                    break
-                running.append(task.remote(work, batch))
-            if not running:
-                return
-            complete, running = ray.wait(running, timeout=_ABSENT_S)
-            if not complete and not _ray_processors(ray):
-                raise TimeoutError("the cluster has no workers")
-            for timed_results in complete:
-                yield from batches.results_of(*ray.get(timed_results))
-    finally:
-        for each in running:
-            with contextlib.suppress(Exception):
-                ray.cancel(each, force=True)
-
-
-def _require_listener(address: str | None) -> None:
-    """Raise OSError or ValueError if nothing listens at HOST:PORT; `auto` and no address are left to ray."""
-    host, colon, port = (address or "").removeprefix("ray://").rpartition(":")
-    if colon:
-        socket.create_connection((host, int(port)), _CONNECT_S).close()
-
-
-def _dask_processors(client: Any) -> int:
-    """Return the number of processors of the workers. Raises TimeoutError if the cluster is lost."""
-    try:
-        return int(sum(client.ncores().values()))
-    except (OSError, RuntimeError) as problem:
-        raise TimeoutError("the scheduler does not respond") from problem
-
-
-def _ray_processors(ray: Any) -> int:
-    return int(ray.cluster_resources().get("CPU", 0))
-
-
-def _next_complete(client: Any, complete: queue.SimpleQueue[Any]) -> tuple[Any, Any]:
-    """Return the next complete job and its result.
-
-    Workers that die take the results that they hold with them, and dask waits without end for others to compute them
-    again. Raises TimeoutError if the scheduler is without workers or silent for `_ABSENT_S`.
-    """
-    future, present = None, time.monotonic()
-    while True:
+def _result_alone(pool: _Pool, work: Work, job: Any, lost: Lost) -> Any:
+    """Return the result of a job that was running when a worker died."""
+    death: BaseException | None = None
+    for _ in range(_TRIES_ALONE):
         try:
-            future = future or complete.get(timeout=_POLL_INTERVAL_S)
-            return future, future.result(timeout=_TRANSFER_S)
-        except (queue.Empty, TimeoutError):
-            if future is not None and future.status == "error":
-                raise  # by the job
+            [(_, result)] = _results(pool, work, [(0, job)])
+        except pool.deaths as problem:
+            death = problem
+        else:
+            return result
+    lost_with = P2OError(
+        f"the worker process died in each of {1 + _TRIES_ALONE} attempts, {_TRIES_ALONE} of them without other jobs",
+        expected="a job that returns",
+        # loky reports the signal.
+        got=", ".join(sorted(set(re.findall(r"SIG[A-Z]+", str(death))))) or type(death).__name__,
+        hint="out of memory: use fewer --jobs or smaller frames; or native code has crashed",
+    )
+    return lost(job, lost_with)
+
+
+@dataclass
+class _Loky:
+    """Processes of this machine.
+
+    `connected` also starts a cluster on this machine, `prepare` replaces workers that died, `submit` returns the future
+    of `_numbered`, and `complete` waits for a future and returns it with its result.
+    """
+
+    jobs: int
+    address: str | None
+    executor: Any = None
+    deaths: tuple[type[BaseException], ...] = (concurrent.futures.BrokenExecutor,)
+
+    @contextlib.contextmanager
+    def connected(self) -> Iterator[None]:
+        ended = False
+        try:
+            yield
+            ended = True
+        finally:
+            if self.executor is not None:
+                self.executor.shutdown(wait=True, kill_workers=not ended)
+
+    def prepare(self) -> None:
+        from joblib.externals.loky import get_reusable_executor
+
+        words: dict[str, Any] = {"initializer": _watch, "initargs": (os.getpid(),)}
+        self.executor = get_reusable_executor(max_workers=self.jobs, timeout=_IDLE_S, **words)
+
+    def processors(self) -> int:
+        return self.jobs
+
+    def submit(self, work: Work, batch: list[tuple[int, Any]]) -> Any:
+        return self.executor.submit(_numbered, work, batch)
+
+    def complete(self, running: Collection[Any]) -> tuple[Any, Any]:
+        done, _ = concurrent.futures.wait(running, return_when=concurrent.futures.FIRST_COMPLETED)
+        future = next(iter(done))
+        return future, future.result()
+
+    def cancel(self, running: Collection[Any]) -> None:
+        for future in running:
+            future.cancel()
+
+
+class _Dask:
+    """A dask cluster, as `_Loky`. Raises TimeoutError if the scheduler is without workers or silent for `_ABSENT_S`."""
+
+    def __init__(self, jobs: int, address: str | None) -> None:
+        self.jobs, self.address = jobs, address
+        self.client: Any = None
+        self.done = queue.SimpleQueue[Any]()
+
+    @property
+    def deaths(self) -> tuple[type[BaseException], ...]:
+        return (importlib.import_module("distributed").KilledWorker,)
+
+    @contextlib.contextmanager
+    def connected(self) -> Iterator[None]:
+        connect: Any = importlib.import_module("distributed").Client
+        here = {"n_workers": self.jobs, "threads_per_worker": 1, "dashboard_address": None}
+        if not _debugging():
+            here["silence_logs"] = logging.CRITICAL
+        # Jobs of workers that died are repeated by `_result_alone`.
+        once = importlib.import_module("dask").config.set({"distributed.scheduler.allowed-failures": 0})
+        with _silent_dask(), once:
+            try:
+                self.client = connect(**here) if self.address is None else connect(self.address, timeout=_CONNECT_S)
+            except (OSError, ValueError, TimeoutError) as problem:
+                text, expected = "the dask scheduler does not respond", "an address such as tcp://HOST:8786"
+                raise InputError(text, where=self.address or "dask", expected=expected, got=problem) from problem
+            try:
+                yield
+            finally:
+                # Of a cluster that is lost, also RuntimeError by asyncio: a timeout that ends while it is changed.
+                with contextlib.suppress(TimeoutError, OSError, RuntimeError):
+                    self.client.close(timeout=_ABSENT_S)
+
+    def prepare(self) -> None:
+        self.client.wait_for_workers(1, timeout=_ABSENT_S)  # a worker that died may be about to restart
+        self.done = queue.SimpleQueue()
+
+    def processors(self) -> int:
+        try:
+            return int(sum(self.client.ncores().values()))
+        except (OSError, RuntimeError) as problem:
+            raise TimeoutError("the scheduler does not respond") from problem
+
+    def submit(self, work: Work, batch: list[tuple[int, Any]]) -> Any:
+        future = self.client.submit(_numbered, work, batch, pure=False)
+        future.add_done_callback(self.done.put)
+        return future
+
+    def complete(self, running: Collection[Any]) -> tuple[Any, Any]:
+        # Workers that die take the results that they contain with them, and dask waits without end for others to
+        # compute them again.
+        future, present = None, time.monotonic()
+        while True:
+            try:
+                future = future or self.done.get(timeout=_POLL_INTERVAL_S)
+                return future, future.result(timeout=_TRANSFER_S)
+            except (queue.Empty, TimeoutError):
+                if future is not None and future.status == "error":
+                    raise  # by the job
+                with contextlib.suppress(Exception):
+                    if self.client.sync(self.client.scheduler.identity, callback_timeout=_ABSENT_S)["workers"]:
+                        present = time.monotonic()
+                if time.monotonic() - present > _ABSENT_S:
+                    raise TimeoutError("the scheduler does not respond, or has no workers") from None
+
+    def cancel(self, running: Collection[Any]) -> None:
+        self.client.cancel(list(running))
+
+
+class _Ray:
+    """A ray cluster, as `_Loky`. Raises TimeoutError if it is without processors for `_ABSENT_S`."""
+
+    def __init__(self, jobs: int, address: str | None) -> None:
+        self.jobs, self.address, self.ray = jobs, address, importlib.import_module("ray")
+
+    @property
+    def deaths(self) -> tuple[type[BaseException], ...]:
+        problems = self.ray.exceptions
+        return problems.WorkerCrashedError, problems.OutOfMemoryError, problems.NodeDiedError, problems.ObjectLostError
+
+    @contextlib.contextmanager
+    def connected(self) -> Iterator[None]:
+        level = logging.INFO if _debugging() else logging.ERROR
+        cpus = None if self.address else self.jobs
+        # ray itself would try for minutes to connect to HOST:PORT; `auto` and no address are left to it.
+        host, colon, port = (self.address or "").removeprefix("ray://").rpartition(":")
+        try:
+            if colon:
+                socket.create_connection((host, int(port)), _CONNECT_S).close()
+            self.ray.init(address=self.address, num_cpus=cpus, log_to_driver=False, logging_level=level)
+        except (OSError, ValueError, RuntimeError) as problem:
+            text, expected = "the ray cluster does not respond", "auto, or an address such as HOST:6379"
+            raise InputError(text, where=self.address or "ray", expected=expected, got=problem) from problem
+        try:
+            yield
+        finally:
+            self.ray.shutdown()
+
+    def prepare(self) -> None:
+        # Jobs of workers that died are repeated by `_result_alone`.
+        self.task = self.ray.remote(max_retries=0)(_numbered)
+
+    def processors(self) -> int:
+        return int(self.ray.cluster_resources().get("CPU", 0))
+
+    def submit(self, work: Work, batch: list[tuple[int, Any]]) -> Any:
+        return self.task.remote(work, batch)
+
+    def complete(self, running: Collection[Any]) -> tuple[Any, Any]:
+        done: list[Any] = []
+        while not done:
+            done, _ = self.ray.wait(list(running), timeout=_ABSENT_S)
+            if not done and not self.processors():
+                raise TimeoutError("the cluster has no workers")
+        return done[0], self.ray.get(done[0])
+
+    def cancel(self, running: Collection[Any]) -> None:
+        for future in running:
             with contextlib.suppress(Exception):
-                if client.sync(client.scheduler.identity, callback_timeout=_ABSENT_S)["workers"]:
-                    present = time.monotonic()
-            if time.monotonic() - present > _ABSENT_S:
-                raise TimeoutError("the scheduler does not respond, or has no workers") from None
+                self.ray.cancel(future, force=True)
+
+
+_Pool: TypeAlias = _Loky | _Dask | _Ray
+"""The workers of a backend; `deaths` are its exceptions for a worker that died. Others: the cluster is lost."""
 
 
 @contextlib.contextmanager
@@ -363,42 +386,6 @@ def _debugging() -> bool:
     return os.environ.get("P2O_DEBUG", "") not in ("", "0")
 
 
-def _dismiss_workers(kill: bool) -> None:
-    """Terminate the workers of this process, with `kill` also busy ones: joblib may use one that terminates."""
-    from joblib.externals.loky import get_reusable_executor
-
-    get_reusable_executor(kill_workers=kill).shutdown(wait=True, kill_workers=kill)
-
-
-class _Waiting:
-    """Numbers jobs as they are taken, in threads of backends, and keeps those not done, with which iteration begins."""
-
-    def __init__(self, jobs: Iterable[Any]) -> None:
-        self.exhausted = False
-        self._jobs = enumerate(jobs)
-        self._taken: dict[int, Any] = {}
-        self._lock = threading.Lock()
-
-    def __iter__(self) -> Iterator[tuple[int, Any]]:
-        return itertools.chain(self.under_way(), iter(self._take, None))
-
-    def _take(self) -> tuple[int, Any] | None:
-        with self._lock:
-            for number, job in self._jobs:
-                self._taken[number] = job
-                return number, job
-            self.exhausted = True
-            return None
-
-    def under_way(self) -> list[tuple[int, Any]]:
-        with self._lock:
-            return list(self._taken.items())
-
-    def done(self, number: int) -> None:
-        with self._lock:
-            del self._taken[number]
-
-
 class _Batches:
     """Batches of numbered jobs, each of about one second: successive jobs share cached data, scheduling takes time."""
 
@@ -416,16 +403,6 @@ class _Batches:
         # Later jobs may be slower than the last ones: increase gradually, decrease immediately.
         self._size = max(1, int(min(fitting, 2 * len(results), _MOST_IN_BATCH)))
         return results
-
-
-def _deaths(backend: Backend) -> tuple[type[BaseException], ...]:
-    """Return the exceptions of a backend for a worker that died."""
-    if backend == "dask":
-        return (importlib.import_module("distributed").KilledWorker,)
-    if backend == "ray":
-        problems = importlib.import_module("ray").exceptions
-        return problems.WorkerCrashedError, problems.OutOfMemoryError, problems.NodeDiedError, problems.ObjectLostError
-    return (concurrent.futures.BrokenExecutor,)
 
 
 def _numbered(work: Work, batch: list[tuple[int, Any]]) -> tuple[float, list[tuple[int, Any]]]:

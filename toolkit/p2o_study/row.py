@@ -158,10 +158,16 @@ class Environment:
 
 
 @dataclass(frozen=True, eq=False)
-class Planned:
+class Row:
     """One calibration of a study: `row` is the label of its row in the table, `section` the heading above it.
 
     `key` identifies the computation: content of the frames, initial guess, seed and revision of the method.
+
+    The other values are those of a finished calibration: `status` is that of the `Result`, `exception` the traceback
+    where the run raised. `estimate` is camera_from_lidar (4, 4), None if the calibration was refused. `trust` is the
+    verdict and `why` its reasons, None without a result. `figures` holds the figures of the result
+    (`p2o.results.figures`) by name; unknown ones are absent. `matches` holds counts by direction, `seconds` the time by
+    stage, `load` the load average of the machine at the end, `finished` the time in UTC, ISO 8601.
     """
 
     key: Text
@@ -169,6 +175,19 @@ class Planned:
     case: Case
     method: Method
     section: Text = ""
+    status: Status = Status.STAGE_FAILED
+    reason: Text = ""
+    exception: Text | None = None
+    estimate: StoredPose | None = None
+    trust: Trust | None = None
+    why: Text | None = None
+    figures: Mapping[str, Figure] = field(default_factory=dict)
+    matches: Mapping[str, Count] = field(default_factory=dict)
+    rounds: tuple[Round, ...] = ()
+    seconds: Mapping[str, Number] = field(default_factory=dict)
+    environment: Environment = field(default_factory=Environment)
+    load: Number | None = None
+    finished: Text = ""
 
     @property
     def dataset(self) -> str:
@@ -215,31 +234,10 @@ class Planned:
         """What is measured, whatever the revision of the method: section, data set, label, protocol, seed, frames."""
         return (self.section, self.dataset, self.row, self.protocol, self.seed, self.frames)
 
-
-@dataclass(frozen=True, eq=False)
-class Row(Planned):
-    """One finished calibration.
-
-    `status` is that of the `Result`, `exception` the traceback where the run raised. `estimate` is camera_from_lidar
-    (4, 4), None if the calibration was refused. `trust` is the verdict and `why` its reasons, None without a result.
-    `figures` holds the figures of the result (`p2o.results.figures`) by name; unknown ones are absent. `matches` holds
-    counts by direction, `seconds` the time by stage, `load` the load average of the machine at the end, `finished` the
-    time in UTC, ISO 8601.
-    """
-
-    status: Status = Status.STAGE_FAILED
-    reason: Text = ""
-    exception: Text | None = None
-    estimate: StoredPose | None = None
-    trust: Trust | None = None
-    why: Text | None = None
-    figures: Mapping[str, Figure] = field(default_factory=dict)
-    matches: Mapping[str, Count] = field(default_factory=dict)
-    rounds: tuple[Round, ...] = ()
-    seconds: Mapping[str, Number] = field(default_factory=dict)
-    environment: Environment = field(default_factory=Environment)
-    load: Number | None = None
-    finished: Text = ""
+    def named(self) -> dict[str, str | int]:
+        """Return what identifies the calibration for a reader, for JSON."""
+        names = ("dataset", "section", "row", "place", "protocol", "seed")
+        return {name: getattr(self, name) for name in names}
 
     @property
     def solved(self) -> bool:

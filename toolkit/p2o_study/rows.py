@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 from p2o.errors import InputError
 from p2o.files.input_file import expanded, read_bytes, read_start
@@ -22,13 +22,11 @@ from p2o.files.parsed_text import parse_json
 from p2o.files.whole_file import write_whole
 from p2o.results.json_types import Schema, Tree
 from p2o.results.result import Status
-from pydantic import ConfigDict, Field, TypeAdapter
 
-from p2o_study.row import PREDICTED, Case, Environment, Frame, Method, Planned, Row, Text, canonical, content_id
+from p2o_study.row import PREDICTED, Case, Environment, Frame, Method, Row, Text, canonical, content_id
 
 MAX_LINE_BYTES = 4 << 20
 """Maximum length of a line: a joint calibration of 10,000 frames needs 200 kB."""
-_MAX_LINES = 5_000_000
 _SHARED: Mapping[str, type] = {"frame": Frame, "case": Case, "method": Method, "environment": Environment}
 """Parts of rows that have a file of their own, by the key that names them in a line."""
 _OLD_STORE = "study.sqlite"
@@ -47,15 +45,10 @@ class PlanRow:
 
 @dataclass(frozen=True)
 class StoredStudy:
-    """A study as last started: the text of its file, the overrides `data` of the command line, and the plan.
-
-    `published` are the `[[published]]` tables of the file as mappings with label, source, values by metric, etc.
-    """
+    """A study as last started: the content of its file with the changes of the command line, and the plan."""
 
     name: Text
-    toml: Annotated[str, Field(max_length=10_000_000)]
-    data: Tree
-    published: tuple[Tree, ...]
+    content: Tree
     plan: tuple[PlanRow, ...] = ()
 
     @cached_property
@@ -67,12 +60,11 @@ class StoredStudy:
 class Rows:
     """The rows of a folder; several processes may add rows at the same time.
 
-    `torn` counts lines that a killed process or a full disk left incomplete, and rows that need such a line.
+    Lines that a killed process or a full disk left incomplete, and rows that need such a line, are left out.
     """
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = expanded(folder)
-        self.torn = 0
         self._shared: dict[str, dict[str, Any]] = {}
         self._status: dict[str, Status] = {}
         self._read_bytes: dict[Path, int] = {}
@@ -172,22 +164,17 @@ class Rows:
         if kind not in self._shared:
             known = self._shared[kind] = {}
             for where, plain in self._lines(self._shared_path(kind)):
-                entry = self._joined(plain)
-                if entry is None:
-                    self.torn += 1
-                    continue
-                known[content_id(plain)] = _read(_SCHEMAS[kind], entry, where)
+                if (entry := self._joined(plain)) is not None:
+                    known[content_id(plain)] = _read(_SCHEMAS[kind], entry, where)
         return self._shared[kind]
 
     def _row(self, plain: dict[str, Any], where: str) -> Row | None:
-        joined = self._joined(plain)
-        if joined is None:
-            self.torn += 1
+        if (joined := self._joined(plain)) is None:
             return None
         # The predicted errors are a list in JSON.
         if isinstance(bounds := joined.pop("predicted", None), list):
             joined["figures"] = {**joined.get("figures", {}), **dict(zip(PREDICTED, bounds, strict=False))}
-        row: Row = _read(_ROW, joined, where)
+        row: Row = _read(_SCHEMAS["row"], joined, where)
         return row
 
     def _joined(self, plain: Mapping[str, Any]) -> dict[str, Any] | None:
@@ -208,7 +195,7 @@ class Rows:
     def _lines(self, path: Path, *, new: bool = False) -> Iterator[tuple[str, dict[str, Any]]]:
         """Yield place and value of the lines of a file; `new` ones are those since the last such call.
 
-        Lines that are no JSON are counted as torn, an incomplete last line is left out.
+        Lines that are no JSON and an incomplete last line are left out.
         """
         if not path.exists():
             return
@@ -221,8 +208,6 @@ class Rows:
             file.seek(begin)
             for number, line in enumerate(iter(lambda: file.readline(MAX_LINE_BYTES + 1), b""), start=1):
                 where = f"{path}:{number}"
-                if number > _MAX_LINES:
-                    raise InputError("too many lines", where=where, expected=f"at most {_MAX_LINES}")
                 if len(line) > MAX_LINE_BYTES:
                     raise InputError("the line is too long", where=where, expected=f"at most {MAX_LINE_BYTES} bytes")
                 if new and line.endswith(b"\n"):
@@ -230,7 +215,6 @@ class Rows:
                 try:
                     plain = parse_json(line, "line", where, halves=True) if line.strip() else None
                 except InputError:
-                    self.torn += line.endswith(b"\n")
                     continue
                 if plain is None:
                     continue
@@ -263,7 +247,7 @@ class Rows:
     def _plain_row(self, row: Row) -> dict[str, Any]:
         """Return a row for JSON, which names its shared parts; they are appended to their files if they are new."""
         names = {kind: self._id(kind, getattr(row, kind)) for kind in ("case", "method", "environment")}
-        plain = {**_plain(_ROW, row, set(names)), **names}
+        plain = {**_plain("row", row, names), **names}
         if PREDICTED[0] in (figures := plain.get("figures", {})) and figures.keys() >= set(PREDICTED):
             plain["predicted"] = [figures.pop(name) for name in PREDICTED]
             if not figures:
@@ -303,7 +287,7 @@ class Rows:
 
     def _id(self, kind: str, part: Any) -> str:
         """Return the id of a shared part, which is appended to its file if it is new."""
-        plain = _plain(_SCHEMAS[kind], part, {"frames"})
+        plain = _plain(kind, part, ("frames",))
         if isinstance(part, Case):
             plain["frames"] = [self._id("frame", frame) for frame in part.frames]
         name = content_id(plain)
@@ -349,46 +333,35 @@ def _labelled(row: Row, entry: PlanRow) -> Row:
     return replace(row, row=entry.row, section=entry.section, case=case)
 
 
-def plan_of(planned: Iterable[Planned]) -> tuple[PlanRow, ...]:
+def plan_of(rows: Iterable[Row]) -> tuple[PlanRow, ...]:
     """Return the plan of calibrations, in order."""
     keys: dict[tuple[str, str, str], list[str]] = {}
-    for one in planned:
-        keys.setdefault((one.row, one.section, one.dataset), []).append(one.key)
+    for row in rows:
+        keys.setdefault((row.row, row.section, row.dataset), []).append(row.key)
     return tuple(PlanRow(*labels, tuple(own)) for labels, own in keys.items())
 
 
-_STRICT = ConfigDict(extra="forbid")
 _STUDY = Schema(StoredStudy)
-_ROW: Any = TypeAdapter(tuple[Row], config=_STRICT)
-_SCHEMAS: Mapping[str, Any] = {kind: TypeAdapter(tuple[part], config=_STRICT) for kind, part in _SHARED.items()}  # type: ignore[valid-type]
+_SCHEMAS = {kind: Schema(part) for kind, part in {**_SHARED, "row": Row}.items()}
 
 
-def _plain(schema: Any, part: Any, without: set[str]) -> dict[str, Any]:
+def _plain(kind: str, part: Any, without: Collection[str]) -> dict[str, Any]:
     """Return a record as plain values for JSON, without those that are empty or their default."""
-    values = schema.dump_python((part,), mode="json", exclude={0: without}, warnings=False)[0]
     required = {f.name for f in fields(part) if f.default is MISSING and f.default_factory is MISSING}
     defaults = {f.name: f.default for f in fields(part)}
+    values = {name: value for name, value in _SCHEMAS[kind].plain(part).items() if name not in without}
     return {k: v for k, v in values.items() if k in required or not (v in _EMPTY or v == defaults[k])}
 
 
 _EMPTY: tuple[Any, ...] = (None, {}, [], "")
 
 
-def _read(schema: Any, plain: Mapping[str, Any], where: str) -> Any:
-    from pydantic import ValidationError
-
+def _read(schema: Schema, plain: Mapping[str, Any], where: str) -> Any:
     try:
-        return schema.validate_python((plain,))[0]
-    except ValidationError as problem:
-        first = problem.errors(include_url=False)[0]
-        name = ".".join(str(part) for part in first["loc"][1:])
-        raise InputError(
-            f"the line is no valid record: {name}",
-            where=where,
-            expected=first["msg"],
-            got=repr(first["input"])[:60],
-            hint=f"it was written by another version of p2o, or changed: {_MOVE_HINT}",
-        ) from problem
+        return schema.read(plain)
+    except InputError as problem:
+        hint = f"it was written by another version of p2o, or changed: {_MOVE_HINT}"
+        raise InputError("the line is no valid record", where=where, got=problem, hint=hint) from problem
 
 
 def _cannot_write(path: Path, problem: OSError) -> InputError:

@@ -19,7 +19,6 @@ import numpy as np
 from p2o.arrays import Float, Int, UInt8
 from p2o.geometry.perturb import Perturbation
 from p2o.results.verdict import Trust
-from scipy.sparse import csr_array
 
 from p2o_study.row import METRICS, NORMS, Row
 
@@ -28,7 +27,7 @@ SHARE = 0.95
 MIN_FRAMES = 5
 """With fewer frames there are too few distinct resamples for an interval: none is given."""
 _WEIGHTS_AT_ONCE = 2_000_000
-"""Maximum number of weights (resamples x frames) in memory."""
+"""Maximum number of weights (resamples x values) in memory."""
 
 Statistic = Literal["mean", "median"]
 
@@ -60,7 +59,7 @@ def interval(values: Sequence[float] | Float, frames: Sequence[str] | Int, stati
     if len(names) < MIN_FRAMES:
         return Interval(whole)
     draws = draws_of(len(names))
-    step = max(1, _WEIGHTS_AT_ONCE // len(names))
+    step = max(1, _WEIGHTS_AT_ONCE // len(sample))
     drawn = [_statistics(sample, frame, draws[i : i + step], statistic) for i in range(0, len(draws), step)]
     low, high = np.quantile(np.concatenate(drawn), [(1 - SHARE) / 2, (1 + SHARE) / 2])
     return Interval(whole, float(low), float(high))
@@ -88,18 +87,8 @@ def _statistics(ordered: Float, frame: Int, draws: UInt8, statistic: Statistic) 
     total = weights @ counts
     if statistic == "mean":
         return np.asarray((weights @ np.bincount(frame, ordered, draws.shape[1])) / total)
-    # Values drawn up to the end of each block; then only one block per resample is searched.
-    size = math.isqrt(len(ordered) - 1) + 1
-    blocks = np.arange(len(ordered)) // size
-    in_block = csr_array((np.ones(len(ordered)), (frame, blocks)), shape=(draws.shape[1], blocks[-1] + 1))
-    upto = np.cumsum(np.asarray(weights @ in_block), axis=1)
-    resample, middles = np.arange(len(draws)), []
-    for before in ((total - 1) // 2, total // 2):
-        block = np.argmax(upto > before[:, None], axis=1)
-        skipped = np.where(block > 0, upto[resample, block - 1], 0.0)
-        places = np.minimum(block[:, None] * size + np.arange(size), len(ordered) - 1)
-        reached = skipped[:, None] + np.cumsum(weights[resample[:, None], frame[places]], axis=1)
-        middles.append(ordered[places[resample, np.argmax(reached > before[:, None], axis=1)]])
+    upto = np.cumsum(weights[:, frame], axis=1)
+    middles = [ordered[np.argmax(upto > before[:, None], axis=1)] for before in ((total - 1) // 2, total // 2)]
     return np.asarray((middles[0] + middles[1]) / 2)
 
 
@@ -167,19 +156,6 @@ class Coverage:
     count: int
     within: Mapping[str, int]
 
-    @property
-    def text_67(self) -> str:
-        """Rotations and translations within the 67 % bound, such as "13/20 12/20"; "-" without results."""
-        return self._text(*BOUNDS[:2])
-
-    @property
-    def text_95(self) -> str:
-        """Rotations and translations within the 95 % bound."""
-        return self._text(*BOUNDS[2:])
-
-    def _text(self, *names: str) -> str:
-        return " ".join(f"{self.within[name]}/{self.count}" for name in names) if self.count else "-"
-
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
@@ -224,11 +200,6 @@ class Statistics:
         return {**dict(sorted(counts.items())), **({NOT_RUN: self.waiting} if self.waiting else {})}
 
     @cached_property
-    def places(self) -> tuple[str, ...]:
-        """The frames, or groups of jointly calibrated frames, in the order of first occurrence."""
-        return tuple(dict.fromkeys(row.place for row in self.rows))
-
-    @cached_property
     def frames(self) -> int:
         """Number of distinct frames."""
         return len({(row.dataset, name) for row in self.rows for name in row.frames})
@@ -237,11 +208,6 @@ class Statistics:
     def groups(self) -> int:
         """Number of independent groups."""
         return len(set(self._groups))
-
-    @cached_property
-    def seeds(self) -> int:
-        """Number of different seeds."""
-        return len({row.seed for row in self.rows})
 
     @cached_property
     def protocols(self) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from datetime import date, time
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn, Self
 
 from p2o.errors import InputError, P2OError, UnknownNameError, printable
 from p2o.files.input_file import existing_folder, expanded, read_text
@@ -187,18 +187,6 @@ class Product(_Scope):
     perturb: tuple[str, ...] = ()
 
 
-_Words = TypeVar("_Words", bound=Words)
-
-
-def _with_method(table: _Words, registry: Registry, where: str) -> _Words:
-    """Return a table with the words and options of its published method."""
-    if table.method is None:
-        return table
-    options = {"options": table.options} if table.options else {}
-    merged = preset_of(table.method, registry, where).merged({**_words_of(table), **options})
-    return table.model_copy(update={**merged, "method": None})
-
-
 class Published(_Table):
     """Figures of a publication as printed, in degrees and metres; `beside` is the label of the row to compare with."""
 
@@ -243,17 +231,24 @@ class Study(_Table):
     seeds: Seeds = 1
     metrics: tuple[Metric, ...] = Field(default=("rotation_deg", "translation_m"), min_length=1, max_length=8)
 
-    def with_methods(self, registry: Registry) -> Study:
+    def with_methods(self, registry: Registry) -> Self:
         """Return the study with words and options of published methods in place of their names.
 
         Raises UnknownNameError for an unknown method.
         """
-        if not any(table.method for table in (*self.variant, *self.row, self.defaults)):
-            return self
-        variants = tuple(_with_method(table, registry, f"study {self.name}, [[variant]]") for table in self.variant)
-        rows = tuple(_with_method(table, registry, f"study {self.name}, [[row]]") for table in self.row)
-        defaults = _with_method(self.defaults, registry, f"study {self.name}, [defaults]")
-        return self.model_copy(update={"variant": variants, "row": rows, "defaults": defaults})
+
+        def with_method(table: Words, place: str) -> Words:
+            if table.method is None:
+                return table
+            options = {"options": table.options} if table.options else {}
+            preset = preset_of(table.method, registry, f"study {self.name}, {place}")
+            return table.model_copy(update={**preset.merged({**_words_of(table), **options}), "method": None})
+
+        variants = tuple(with_method(table, "[[variant]]") for table in self.variant)
+        rows = tuple(with_method(table, "[[row]]") for table in self.row)
+        return self.model_copy(
+            update={"variant": variants, "row": rows, "defaults": with_method(self.defaults, "[defaults]")}
+        )
 
     @property
     def limits(self) -> Perturbation | None:
@@ -266,7 +261,7 @@ class Study(_Table):
         frames: str | Sequence[str] | None = None,
         seeds: int | Sequence[int] | None = None,
         root: str | Path | None = None,
-    ) -> Study:
+    ) -> Self:
         """Return the study with other data, frames or seeds, in the form of the command line.
 
         `data` are texts DATASET:PATH (a study of one dataset) or NAME=DATASET:PATH, `root` the folder with the `path`
@@ -299,22 +294,154 @@ class Study(_Table):
         Raises InputError for clashing names and words and for more than `at_most` rows times seeds, UnknownNameError
         for unknown variants and datasets.
         """
-        return list(_Expansion(self, at_most).rows())
+        self._check_names()
+        self._refuse_too_many(at_most)
+        tables = [*(row for product in self.product for row in self._combinations(product)), *self.row]
+        rows = [row for table in tables for row in self._expanded(table)]
+        if not rows:
+            self._fail("the study has no rows", "[[row]] or [[product]] tables")
+        self._refuse_twice("row", [row.label for row in rows])
+        labels = {row.label for row in rows} | {row.label.rpartition(" @ ")[0] for row in rows}
+        for published in self.published:
+            if published.beside is not None and published.beside not in labels:
+                where = f"study {self.name}, published rows"
+                raise UnknownNameError("row", published.beside, labels - {""}, where=where)
+        given = [row for row in rows if not row.dataset.left_out]
+        if not given:
+            names = ", ".join(dict.fromkeys(row.dataset.name for row in rows))
+            self._fail("no data are given", f"--root DIR or --data NAME=DATASET:PATH with a NAME of {names}")
+        return given
+
+    def _fail(self, what: str, expected: str) -> NoReturn:
+        raise InputError(what, where=f"study {self.name}", expected=expected)
+
+    def _refuse_twice(self, kind: str, names: Sequence[str]) -> None:
+        twice = next((name for name, count in Counter(names).items() if count > 1), None)
+        if twice is not None:
+            self._fail(f"the name '{twice}' of a {kind} is used twice", "unique names")
+
+    def _check_names(self) -> None:
+        variants = [variant.name for variant in self.variant]
+        self._refuse_twice("variant", variants)
+        self._refuse_twice("dataset", [table.name for table in self.dataset])
+        self._refuse_twice("published row", [published.label for published in self.published])
+        for variant in self.variant:
+            for word in METHOD_WORDS:
+                if (other := getattr(variant, word)) in variants:
+                    self._fail(f"variant '{variant.name}' uses the variant '{other}'", "names of methods")
+
+    def _refuse_too_many(self, at_most: int) -> None:
+        """Raise InputError for too many rows times seeds, without expanding them."""
+        count = 0
+        for scope in (*self.product, *self.row):
+            seeds = self.seeds if scope.seeds is None else scope.seeds
+            combined = 1
+            if isinstance(scope, Product):
+                combined = math.prod(map(len, _words_of(scope).values())) * max(1, len(scope.use))
+            datasets = len(self.dataset if scope.dataset is None else scope.dataset)
+            count += combined * datasets * (seeds if isinstance(seeds, int) else len(seeds))
+        if count > at_most:
+            text, expected = f"the study asks for {count:.6g} rows times seeds", f"at most {at_most}"
+            hint = "reduce rows or seeds, or confirm the number: --at-most N"
+            raise InputError(text, where=f"study {self.name}", expected=expected, hint=hint)
+
+    def _combinations(self, product: Product) -> Iterator[RowTable]:
+        """Yield the row of each combination."""
+        axes, uses = _words_of(product), product.use or ((),)
+        if not axes and not product.use:
+            self._fail("a product has no lists to combine", ", ".join(METHOD_WORDS))
+        for name, values in (*axes.items(), ("use", [" ".join(use) for use in product.use])):
+            self._refuse_twice(f"{name} of a product", values)
+        varying = [word for word, values in axes.items() if len(values) > 1] or list(axes)
+        named = [*varying, *(["use"] if len(uses) > 1 or not varying else [])]
+        pattern = product.label or " ".join(f"{{{word}}}" for word in named)
+        scope = {name: getattr(product, name) for name in _Scope.model_fields}
+        for chosen, use in itertools.product(itertools.product(*axes.values()), uses):
+            words = dict(zip(axes, chosen, strict=True))
+            label = _filled(pattern, {**words, "use": " ".join(use)})
+            if label is None:
+                names = " ".join(f"{{{w}}}" for w in (*axes, "use"))
+                self._fail(f"the label '{pattern}' of a product cannot be filled in", f"names such as {names}")
+            yield RowTable.model_construct(label=label, use=use, **words, **scope)
+
+    def _expanded(self, row: RowTable) -> list[StudyRow]:
+        """Return a row once for each of its datasets."""
+        label, where = row.label, f"study {self.name}, row '{row.label}'"
+        variants, tables = {one.name: one for one in self.variant}, {table.name: table for table in self.dataset}
+        known: Mapping[str, Any]
+        for kind, names, known in (("variant", row.use, variants), ("dataset", row.dataset or (), tables)):
+            if unknown := [name for name in names if name not in known]:
+                raise UnknownNameError(kind, unknown[0], known, where=where)
+        sources: list[tuple[str, Words]] = [(f"variant '{name}'", variants[name]) for name in row.use]
+        plain: dict[str, Any] = {}
+        for word, value in _words_of(row).items():
+            variant = None if word in PLAIN else variants.get(value)
+            if variant is None:
+                plain[word] = value
+            elif getattr(variant, word) is None:
+                self._fail(f"row '{label}': variant '{value}' sets no {word}", f"a {word}")
+            else:
+                sources.append((f"variant '{value}'", variant))
+        merged = self._merged(label, [*sources, (f"row '{label}'", Words(**plain, options=row.options))])
+        seeds = self.seeds if row.seeds is None else row.seeds
+        seeds = tuple(range(seeds)) if isinstance(seeds, int) else seeds
+        if len(set(seeds)) < len(seeds) or not seeds:
+            self._fail(f"row '{label}' has seeds {list(seeds)}", "different seeds, at least one")
+        joint = self.joint if row.joint is None else row.joint
+        frames = {False: 0, True: ALL_JOINT, "camera": BY_CAMERA, "rig": BY_RIG}.get(joint, joint)
+        return [
+            StudyRow(
+                label if len(tables) == 1 else f"{label} @ {name}",
+                row.section,
+                tables[name],
+                merged,
+                seeds,
+                int(frames),
+                f"study {self.name}",
+            )
+            for name in dict.fromkeys(tables if row.dataset is None else row.dataset)
+        ]
+
+    def _merged(self, label: str, sources: Sequence[tuple[str, Words]]) -> dict[str, Any]:
+        """Merge the words of all sources, which may not contradict each other, with the defaults of the study."""
+        values: dict[tuple[str, ...], Any] = {}
+        giver: dict[tuple[str, ...], str] = {}
+        for source, words in sources:
+            for key, value in _flat(words):
+                if key in values and values[key] != value:
+                    self._fail(f"row '{label}': {giver[key]} and {source} both set {'.'.join(key[-2:])}", "one of them")
+                values[key], giver[key] = value, source
+        staged = any((word,) in values for word in STAGED_WORDS)
+        whole = ("calibrator",) in values or (self.defaults.calibrator is not None and not staged)
+        defaults = {key: value for key, value in _flat(self.defaults) if _applies(key, whole)}
+        by_default, own = _methods(defaults), _methods(values)
+        for key, value in defaults.items():
+            # Options of the default method do not apply to a method that replaces it.
+            if not (len(key) == 3 and key[1] in own and by_default.get(key[1]) != own[key[1]]):
+                values.setdefault(key, value)
+        start = starts_of(self.protocol, self.perturb, f"study {self.name}, protocol")
+        if start is not None:
+            values.setdefault(("perturb",), start)
+        merged: dict[str, Any] = {"options": {}}
+        for key, value in values.items():
+            if len(key) == 1:
+                merged[key[0]] = value
+            else:
+                merged["options"].setdefault(key[1], {})[key[2]] = value
+        return merged
 
 
 @dataclass(frozen=True, eq=False)
 class StudyRow:
     """One row of a study's table on one dataset.
 
-    `method_words` holds the words of the file (with names of variants), `words` those of the recipe without data,
-    frames, seed and joint. `joint` is the number of frames per joint calibration: 0 each alone, ALL_JOINT all,
-    BY_CAMERA all of one camera, BY_RIG all of all cameras of a rig.
+    `words` are those of the recipe without data, frames, seed and joint. `joint` is the number of frames per joint
+    calibration: 0 each alone, ALL_JOINT all, BY_CAMERA all of one camera, BY_RIG all of all cameras of a rig.
     """
 
     label: str
     section: str
     dataset: DatasetTable
-    method_words: Mapping[str, str]
     words: Mapping[str, Any]
     seeds: tuple[int, ...]
     joint: int
@@ -347,176 +474,6 @@ def with_place(problem: P2OError, where: str, hint: str | None = None) -> P2OErr
     kind = InputError if isinstance(problem, UnknownNameError) else type(problem)
     what = problem.what if problem.where is None else f"{problem.where}: {problem.what}"
     return kind(what, where=where, expected=problem.expected, got=problem.got, hint=problem.hint or hint)
-
-
-class _Expansion:
-    """Expands the tables of a study into rows."""
-
-    def __init__(self, study: Study, at_most: int) -> None:
-        self.study, self.at_most = study, at_most
-        self.where = f"study {study.name}"
-        self.variants = {variant.name: variant for variant in study.variant}
-        self._refuse_twice("variant", [variant.name for variant in study.variant])
-        self._refuse_twice("dataset", [table.name for table in study.dataset])
-        for variant in study.variant:
-            for word in METHOD_WORDS:
-                if getattr(variant, word) in self.variants:
-                    what = f"variant '{variant.name}' uses the variant '{getattr(variant, word)}'"
-                    self._fail(what, "names of methods")
-
-    def rows(self) -> Iterator[StudyRow]:
-        self._refuse_too_many()
-        rows: list[StudyRow] = []
-        for product in self.study.product:
-            for words, use, label in self._combinations(product):
-                rows += self._row(label, words, use, product)
-        for row in self.study.row:
-            rows += self._row(row.label, _words_of(row), row.use, row, row.options)
-        if not rows:
-            self._fail("the study has no rows", "[[row]] or [[product]] tables")
-        self._refuse_twice("row", [row.label for row in rows])
-        self._refuse_twice("published row", [published.label for published in self.study.published])
-        labels = {row.label for row in rows} | {row.label.rpartition(" @ ")[0] for row in rows}
-        for published in self.study.published:
-            if published.beside is not None and published.beside not in labels:
-                raise UnknownNameError("row", published.beside, labels - {""}, where=f"{self.where}, published rows")
-        given = [row for row in rows if not row.dataset.left_out]
-        if not given:
-            raise InputError(
-                "no data are given",
-                where=self.where,
-                expected="--root DIR or --data NAME=DATASET:PATH with a NAME of "
-                + ", ".join(dict.fromkeys(row.dataset.name for row in rows)),
-            )
-        yield from given
-
-    def _refuse_too_many(self) -> None:
-        """Raise InputError for too many rows times seeds, without expanding them."""
-        count = 0
-        for scope in (*self.study.product, *self.study.row):
-            seeds = self.study.seeds if scope.seeds is None else scope.seeds
-            combined = 1
-            if isinstance(scope, Product):
-                combined = math.prod(map(len, _words_of(scope).values())) * max(1, len(scope.use))
-            datasets = len(self.study.dataset if scope.dataset is None else scope.dataset)
-            count += combined * datasets * (seeds if isinstance(seeds, int) else len(seeds))
-        if count > self.at_most:
-            raise InputError(
-                f"the study asks for {count:.6g} rows times seeds",
-                where=self.where,
-                expected=f"at most {self.at_most}",
-                hint="reduce rows or seeds, or confirm the number: --at-most N",
-            )
-
-    def _combinations(self, product: Product) -> Iterator[tuple[dict[str, str], tuple[str, ...], str]]:
-        """Yield words, variants and label of each combination."""
-        axes = _words_of(product)
-        uses = product.use or ((),)
-        if not axes and not product.use:
-            self._fail("a product has no lists to combine", ", ".join(METHOD_WORDS))
-        for name, values in (*axes.items(), ("use", [" ".join(use) for use in product.use])):
-            self._refuse_twice(f"{name} of a product", values)
-        varying = [word for word, values in axes.items() if len(values) > 1] or list(axes)
-        named = [*varying, *(["use"] if len(uses) > 1 or not varying else [])]
-        pattern = product.label or " ".join(f"{{{word}}}" for word in named)
-        for chosen, use in itertools.product(itertools.product(*axes.values()), uses):
-            words = dict(zip(axes, chosen, strict=True))
-            label = _filled(pattern, {**words, "use": " ".join(use)})
-            if label is None:
-                names = " ".join(f"{{{w}}}" for w in (*axes, "use"))
-                self._fail(f"the label '{pattern}' of a product cannot be filled in", f"names such as {names}")
-            else:
-                yield words, use, label
-
-    def _row(
-        self, label: str, words: Mapping[str, str], use: Sequence[str], scope: _Scope, options: Options | None = None
-    ) -> list[StudyRow]:
-        """Return the row once for each of its datasets."""
-        method_words = dict(words)
-        sources: list[tuple[str, Words]] = []
-        for name in use:
-            if name not in self.variants:
-                raise UnknownNameError("variant", name, self.variants, where=f"{self.where}, row '{label}'")
-            sources.append((f"variant '{name}'", self.variants[name]))
-            for word in METHOD_WORDS:
-                if getattr(self.variants[name], word) is not None:
-                    method_words.setdefault(word, name)
-        plain: dict[str, Any] = {}
-        for word, value in words.items():
-            variant = self.variants.get(value)
-            if variant is None or word in PLAIN:
-                plain[word] = value
-            elif getattr(variant, word) is None:
-                self._fail(f"row '{label}': variant '{value}' sets no {word}", f"a {word}")
-            else:
-                sources.append((f"variant '{value}'", variant))
-        sources.append((f"row '{label}'", Words(**plain, options=options or {})))
-        merged = self._merged(label, sources)
-        datasets = self._datasets(label, scope)
-        seeds = self.study.seeds if scope.seeds is None else scope.seeds
-        seeds = tuple(range(seeds)) if isinstance(seeds, int) else seeds
-        if len(set(seeds)) < len(seeds) or not seeds:
-            self._fail(f"row '{label}' has seeds {list(seeds)}", "different seeds, at least one")
-        joint = self.study.joint if scope.joint is None else scope.joint
-        frames = {False: 0, True: ALL_JOINT, "camera": BY_CAMERA, "rig": BY_RIG}.get(joint, joint)
-        for word in ("calibrator",) if "calibrator" in merged else STAGED_WORDS:
-            method_words.setdefault(word, merged.get(word, Recipe.model_fields[word].default))
-        return [
-            StudyRow(
-                label=label if len(self.study.dataset) == 1 else f"{label} @ {table.name}",
-                section=scope.section,
-                dataset=table,
-                method_words={word: value for word, value in method_words.items() if word in METHOD_WORDS},
-                words=merged,
-                seeds=seeds,
-                joint=int(frames),
-                where=self.where,
-            )
-            for table in datasets
-        ]
-
-    def _merged(self, label: str, sources: Sequence[tuple[str, Words]]) -> dict[str, Any]:
-        """Merge the words of all sources, which may not contradict each other, with the defaults of the study."""
-        values: dict[tuple[str, ...], Any] = {}
-        giver: dict[tuple[str, ...], str] = {}
-        for source, words in sources:
-            for key, value in _flat(words):
-                if key in values and values[key] != value:
-                    self._fail(f"row '{label}': {giver[key]} and {source} both set {'.'.join(key[-2:])}", "one of them")
-                values[key], giver[key] = value, source
-        staged = any((word,) in values for word in STAGED_WORDS)
-        whole = ("calibrator",) in values or (self.study.defaults.calibrator is not None and not staged)
-        defaults = {key: value for key, value in _flat(self.study.defaults) if _applies(key, whole)}
-        by_default, own = _methods(defaults), _methods(values)
-        for key, value in defaults.items():
-            # Options of the default method do not apply to a method that replaces it.
-            if not (len(key) == 3 and key[1] in own and by_default.get(key[1]) != own[key[1]]):
-                values.setdefault(key, value)
-        start = starts_of(self.study.protocol, self.study.perturb, f"{self.where}, protocol")
-        if start is not None:
-            values.setdefault(("perturb",), start)
-        merged: dict[str, Any] = {"options": {}}
-        for key, value in values.items():
-            if len(key) == 1:
-                merged[key[0]] = value
-            else:
-                merged["options"].setdefault(key[1], {})[key[2]] = value
-        return merged
-
-    def _datasets(self, label: str, scope: _Scope) -> list[DatasetTable]:
-        tables = {table.name: table for table in self.study.dataset}
-        for name in scope.dataset or ():
-            if name not in tables:
-                raise UnknownNameError("dataset", name, tables, where=f"{self.where}, row '{label}'")
-        return [tables[name] for name in dict.fromkeys(tables if scope.dataset is None else scope.dataset)]
-
-    def _refuse_twice(self, kind: str, names: Sequence[str]) -> None:
-        twice = next((name for name, count in Counter(names).items() if count > 1), None)
-        if twice is not None:
-            self._fail(f"the name '{twice}' of a {kind} is used twice", "unique names")
-
-    def _fail(self, what: str, expected: str) -> None:
-        raise InputError(what, where=self.where, expected=expected)
 
 
 def _words_of(table: Words | Product) -> dict[str, Any]:
@@ -594,23 +551,7 @@ def _methods(values: Mapping[tuple[str, ...], Any]) -> dict[str, str]:
     return {stage: name for stage, name in {**words, "extractor": image, "cloud": cloud}.items() if name}
 
 
-@dataclass(frozen=True)
-class StudyFile:
-    """A study with the text of its file; `source` is the path or name."""
-
-    study: Study
-    text: str
-    source: str
-
-    @classmethod
-    def read(cls, file: Traversable | Path, registry: Registry) -> StudyFile:
-        """Read a study file; raises as `find_study`."""
-        with importlib.resources.as_file(file) as path:
-            text = read_text(path, "study file")
-        return cls(parse_study(text, str(file)).with_methods(registry), text, str(file))
-
-
-def find_study(word: str, registry: Registry) -> StudyFile:
+def find_study(word: str, registry: Registry) -> Study:
     """Return the study of a path, or of the name of a study that a loaded plugin ships.
 
     A plugin ships studies in the folder `studies` of its package; NAME@DISTRIBUTION selects one of several with the
@@ -623,7 +564,7 @@ def find_study(word: str, registry: Registry) -> StudyFile:
     if word.endswith(".toml") or "/" in word or "\\" in word:
         if not path.exists():
             raise InputError("the study file is missing", where=word, expected="a TOML file, or the name of a study")
-        return StudyFile.read(path, registry)
+        return _read(path, registry)
     name, at, dist = word.partition("@")
     shipped = shipped_studies(registry)
     matches = [(owner, file) for owner, file in shipped.get(name, []) if not at or owner == dist]
@@ -634,7 +575,13 @@ def find_study(word: str, registry: Registry) -> StudyFile:
             f"study '{name}' is shipped by several plugins: {' and '.join(owner for owner, _ in matches)}",
             hint="write " + " or ".join(f"{name}@{owner}" for owner, _ in matches),
         )
-    return StudyFile.read(matches[0][1], registry)
+    return _read(matches[0][1], registry)
+
+
+def _read(file: Traversable | Path, registry: Registry) -> Study:
+    with importlib.resources.as_file(file) as path:
+        text = read_text(path, "study file")
+    return parse_study(text, str(file)).with_methods(registry)
 
 
 def shipped_studies(registry: Registry) -> dict[str, list[tuple[str, Traversable]]]:
@@ -647,12 +594,15 @@ def shipped_studies(registry: Registry) -> dict[str, list[tuple[str, Traversable
 
 
 def parse_study(text: str, source: str = "study") -> Study:
-    """Parse a study from TOML.
+    """Parse a study from TOML; raises InputError for text that is not TOML, and as `study_of`."""
+    return study_of(parse_toml(text, "study", source), source)
 
-    Raises InputError for text that is not TOML and for invalid values, UnknownNameError for an unknown key, both with
-    the place.
+
+def study_of(content: Any, source: str) -> Study:
+    """Return the study of the content of a study file.
+
+    Raises InputError for invalid values, UnknownNameError for an unknown key, both with the place.
     """
-    content = parse_toml(text, "study", source)
     _refuse_unsupported_values(content, source)
     try:
         return Study.model_validate(content)

@@ -14,7 +14,7 @@ from p2o.geometry.pose_error import AXES
 from p2o_study.row import NORMS, Row
 from p2o_study.rows import PlanRow, Rows, StoredStudy
 from p2o_study.statistics import Comparison, Statistics, by_label, compared, pooled
-from p2o_study.study import Published, Study, parse_study
+from p2o_study.study import Published, Study, study_of
 
 _ALL_PAIRS = 6
 """Up to this number of rows, all pairs are compared; otherwise each row with the best one."""
@@ -80,7 +80,7 @@ class Summary:
 def summary_of_stored(rows: Rows, stored: StoredStudy) -> Summary | None:
     """Return the summary of a study in a folder; None without finished calibrations."""
     finished = rows.planned(stored.name)
-    return summarised(parse_study(stored.toml, stored.name), finished, rows.missing(stored.name)) if finished else None
+    return summarised(study_of(stored.content, stored.name), finished, rows.missing(stored.name)) if finished else None
 
 
 def summarised(study: Study, rows: Sequence[Row], missing: Iterable[PlanRow] = ()) -> Summary:

@@ -3,23 +3,36 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from functools import partial
+from operator import methodcaller
+from typing import Any, Literal
 
 import numpy as np
 from p2o.errors import printable
+from p2o.page.page import TRUST_LOOKS, Column, brief, cell, interval
 from p2o.results.verdict import Trust
 from p2o.run.protocol import figures_text, protocol_of
 
-from p2o_study.row import GIVEN, NORMS
-from p2o_study.statistics import MIN_FRAMES, RESAMPLES, WRONG_TEXT, Interval, Statistics, brief_seconds
+from p2o_study.row import GIVEN, METRICS, NORMS, Row
+from p2o_study.statistics import (
+    MIN_FRAMES,
+    RESAMPLES,
+    WRONG_TEXT,
+    Comparison,
+    Interval,
+    Statistic,
+    Statistics,
+    brief_seconds,
+)
 from p2o_study.study import Published
 from p2o_study.summary import Group, Summary
 
 DIGITS = 3
 """Decimals of degrees and metres; centimetres have two less."""
 NONE = "-"
+STATISTICS: tuple[Statistic, ...] = ("mean", "median")
 _NAME = {"rotation_deg": "rotation", "translation_m": "translation"}
 
 NOTES = (
@@ -57,58 +70,103 @@ class Table:
     rows: tuple[tuple[Cell, ...], ...]
 
 
-@dataclass(frozen=True)
-class Column:
-    """A column of measured rows: `text` of a row, shown in a table where `shown` is true of any of its rows."""
+def table_of(caption: str, columns: Sequence[Column], rows: Iterable[Any]) -> Table:
+    """Return a table with columns of a page: the first line of each cell."""
+    header = tuple(f"{column.name} [{column.unit}]" if column.unit else column.name for column in columns)
+    return Table(caption, header, tuple(tuple(Cell(text_of(column, row)) for column in columns) for row in rows))
 
-    name: str
-    text: Callable[[Statistics], str]
+
+def text_of(column: Column, row: Any) -> str:
+    """Return the first line of the cell of a row, "-" for an empty one; intervals are left out."""
+    assert column.of is not None
+    value: Any = column.of(row)
+    text = None
+    if isinstance(value, Mapping):
+        value, text = value.get("v"), value.get("t")
+    if text is None and isinstance(value, float) and column.digits is not None:
+        return f"{value:.{column.digits}f}"
+    return text or (NONE if value is None else str(value))
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A column of measured rows in tables and on pages, shown in a table where `shown` is true of any of its rows."""
+
+    column: Column
     shown: Callable[[Statistics], bool] = lambda row: True
 
-
-def _verdict(trust: Trust) -> Column:
-    return Column(
-        trust.value,
-        lambda row: str(row.trust.get(trust, 0)) if row.judged else NONE,
-        lambda row: row.judged and bool(row.trust.get(trust)),
-    )
+    @property
+    def name(self) -> str:
+        """The name of the column."""
+        return self.column.name
 
 
 def _judged(row: Statistics) -> bool:
     return row.judged
 
 
-COLUMNS: tuple[Column, ...] = (
-    Column("start", lambda row: ", ".join(row.protocols) or NONE, lambda row: set(row.protocols) != {GIVEN}),
-    Column("runs", lambda row: str(row.count)),
-    Column("frames", lambda row: str(row.frames)),
-    Column("groups", lambda row: str(row.groups)),
-    Column("not solved", lambda row: _not_solved(row), lambda row: bool(row.failures)),
+def _figure_column(
+    name: str, of: Callable[[Statistics], Any], shown: Callable[[Statistics], bool] = lambda row: True, hide: int = 3
+) -> Figure:
+    return Figure(Column(name, hide=hide, of=of), shown)
+
+
+def _verdict(trust: Trust) -> Figure:
+    return _figure_column(
+        trust.value,
+        lambda row: row.trust.get(trust, 0) if row.judged else None,
+        lambda row: row.judged and bool(row.trust.get(trust)),
+    )
+
+
+def _not_solved(row: Statistics) -> Any:
+    waiting = f", {row.waiting} not run" if row.waiting else ""
+    crashed = f" ({row.crashed} crashed)" if row.crashed else ""
+    statuses = ", ".join(f"{count} {status}" for status, count in row.failures.items())
+    count = row.count - row.solved
+    return cell(count + row.waiting, f"{count}{crashed}{waiting}", statuses or None)
+
+
+def _coverage(suffix: str) -> Figure:
+    def covered(row: Statistics) -> Any:
+        within, count = row.coverage.within, row.coverage.count
+        counts = [within[f"{norm}{suffix}"] for norm in NORMS]
+        return cell(brief(counts[0] / count), " ".join(f"{one}/{count}" for one in counts)) if count else None
+
+    name = "coverage 95 %" if suffix else "coverage 67 %"
+    return _figure_column(name, covered, lambda row: bool(row.coverage.count), 4)
+
+
+def _predicted(row: Statistics) -> Any:
+    texts = [with_unit(value, norm) for norm, value in row.predicted.items()]
+    return cell(brief(next(iter(row.predicted.values()))), " ".join(texts)) if texts else None
+
+
+FIGURES: tuple[Figure, ...] = (
+    _figure_column("start", lambda row: ", ".join(row.protocols) or NONE, lambda row: set(row.protocols) != {GIVEN}, 6),
+    _figure_column("runs", lambda row: row.count),
+    _figure_column("frames", lambda row: row.frames, hide=5),
+    _figure_column("groups", lambda row: row.groups, hide=5),
+    _figure_column("not solved", _not_solved, lambda row: bool(row.failures)),
     *map(_verdict, (Trust.TRUSTED, Trust.AMBIGUOUS, Trust.DOUBTFUL)),
-    Column("false accepts", lambda row: str(row.false_accepts) if row.judged else NONE, _judged),
-    Column("outside 95 %", lambda row: str(row.outside_95) if row.judged else NONE, _judged),
-    Column("not moved", lambda row: str(row.unmoved), lambda row: bool(row.unmoved)),
-    Column("predicted 67 %", lambda row: predicted_text(row), lambda row: bool(row.predicted)),
-    Column("coverage 67 %", lambda row: row.coverage.text_67, lambda row: bool(row.coverage.count)),
-    Column("coverage 95 %", lambda row: row.coverage.text_95, lambda row: bool(row.coverage.count)),
-    Column("within", lambda row: str(row.reached), lambda row: row.within is not None),
-    Column("worse", lambda row: str(row.worse), lambda row: row.within is not None),
-    Column("time [s]", lambda row: brief_seconds(row.seconds)),
+    _figure_column("false accepts", lambda row: row.false_accepts if row.judged else None, _judged),
+    _figure_column("outside 95 %", lambda row: row.outside_95 if row.judged else None, _judged),
+    _figure_column("not moved", lambda row: row.unmoved, lambda row: bool(row.unmoved), 5),
+    _figure_column("predicted 67 %", _predicted, lambda row: bool(row.predicted), 4),
+    _coverage(""),
+    _coverage("_95"),
+    _figure_column("within", lambda row: row.reached, lambda row: row.within is not None),
+    _figure_column("worse", lambda row: row.worse, lambda row: row.within is not None, 4),
+    _figure_column("time [s]", lambda row: cell(brief(row.seconds), brief_seconds(row.seconds)), hide=5),
 )
 _TERMINAL = {"groups", "predicted 67 %", "start"}
 """Columns that the terminal leaves out."""
 
 
-def _not_solved(row: Statistics) -> str:
-    waiting = f", {row.waiting} not run" if row.waiting else ""
-    crashed = f" ({row.crashed} crashed)" if row.crashed else ""
-    return f"{row.count - row.solved}{crashed}{waiting}"
-
-
-def columns_of(rows: Sequence[Statistics], without: Iterable[str] = ()) -> list[Column]:
+def figures_of(rows: Iterable[Statistics], without: Collection[str] = ()) -> list[Figure]:
     """Return the columns that any of the rows has, without the named ones."""
-    left_out = set(without)
-    return [c for c in COLUMNS if c.name not in left_out and any(map(c.shown, rows))]
+    rows = list(rows)
+    return [figure for figure in FIGURES if figure.name not in without and any(map(figure.shown, rows))]
 
 
 def error_table(
@@ -116,20 +174,20 @@ def error_table(
     rows: Sequence[Statistics | Published],
     norms: Sequence[str] = NORMS,
     *,
-    columns: Sequence[Column] | None = None,
+    figures: Sequence[Figure] | None = None,
     solved_only: bool = False,
     comparable: bool = True,
 ) -> Table:
-    """Return the table of the errors of rows: `columns` (default: `columns_of`), then mean and median of each norm.
+    """Return the table of the errors of rows: `figures` (default: `figures_of`), then mean and median of each norm.
 
     With `solved_only` there is also the mean without refused calibrations, where any was refused. The best figures of
     `comparable` rows are bold.
     """
     measured = [row for row in rows if isinstance(row, Statistics)]
-    columns = columns_of(measured) if columns is None else columns
+    figures = figures_of(measured) if figures is None else figures
     leaders = measured if comparable else ()
     apart = solved_only and any(row.count > row.solved for row in measured)
-    header = [column.name for column in columns]
+    header = [figure.name for figure in figures]
     for norm in norms:
         unit = unit_of(norm)[0]
         header += [f"{name_of(norm)} mean [{unit}]", f"{name_of(norm)} median [{unit}]"]
@@ -138,14 +196,14 @@ def error_table(
     for row in rows:
         if isinstance(row, Published):
             if any(norm in row.values for norm in norms):
-                cells = [Cell(NONE)] * len(columns)
+                cells = [Cell(NONE)] * len(figures)
                 for norm in norms:
                     cells += [_published(row, norm), *[Cell(NONE)] * (1 + apart)]
                 lines.append((label_cell(row), *cells))
             continue
-        cells = [Cell(column.text(row)) for column in columns]
+        cells = [Cell(text_of(figure.column, row)) for figure in figures]
         for norm in norms:
-            cells += [_mean(row, leaders, norm), _median(row, leaders, norm)]
+            cells += [_error(row, leaders, norm, statistic) for statistic in STATISTICS]
             cells += [Cell(shown(row.solved_only.mean(norm), norm))] if apart else []
         lines.append((label_cell(row), *cells))
     return Table(caption, ("row", *header), tuple(lines))
@@ -160,30 +218,53 @@ def axis_table(caption: str, group: Group, axes: Sequence[str]) -> Table:
             if any(axis in row.values for axis in axes):
                 lines.append((label_cell(row), Cell("mean"), *(_published(row, axis) for axis in axes)))
             continue
-        measured = group.measured
-        lines.append((label_cell(row), Cell("mean"), *(_mean(row, measured, axis) for axis in axes)))
-        lines.append((Cell(""), Cell("median"), *(_median(row, measured, axis) for axis in axes)))
+        for statistic, label in zip(STATISTICS, (label_cell(row), Cell("")), strict=True):
+            lines.append((label, Cell(statistic), *(_error(row, group.measured, axis, statistic) for axis in axes)))
     return Table(f"{caption}{_reached(group, axes)}", header, tuple(lines))
 
 
-def pair_table(caption: str, group: Group, norms: Sequence[str]) -> Table:
-    """Return the paired comparisons of rows."""
-    header = ["row", "against", "pairs"]
+def in_unit(value: float | None, metric: str) -> Any:
+    """Return the cell of a value in the unit of its metric."""
+    if value is None:
+        return None
+    return cell(None, "unobservable") if value == np.inf else brief(unit_of(metric)[1] * value)
+
+
+def error_cell(row: Statistics, metric: str, statistic: Statistic, look: str | None = None) -> Any:
+    """Return the cell of the mean or median error of a row with its interval."""
+    known: Interval | None = getattr(row, statistic)(metric)
+    if known is None:
+        return None
+    factor = unit_of(metric)[1]
+    return interval([None if end is None else factor * end for end in (known.value, known.low, known.high)], look)
+
+
+def pair_columns(norms: Sequence[str]) -> list[Column]:
+    """Return the columns of comparisons of two rows."""
+    other = " (other start)"
+    columns = [
+        Column("row", text=True, hide=0, of=lambda pair: pair.row),
+        Column("against", text=True, hide=0, of=lambda pair: pair.against + other * pair.other_start),
+        Column("pairs", hide=3, of=lambda pair: pair.pairs),
+    ]
     for norm in norms:
-        header += [f"{name_of(norm)} median difference [{unit_of(norm)[0]}]", "better"]
-    lines = []
-    for pair in group.comparisons:
-        against = f"{pair.against} (other start)" if pair.other_start else pair.against
-        cells = [pair.row, against, str(pair.pairs)]
-        for norm in norms:
-            difference = pair.differences.get(norm)
-            if difference is None:
-                cells += [NONE, NONE]
-                continue
-            tied = f" ({100 * difference.tied:.0f} % tied)" if difference.tied else ""
-            cells += [shown(difference.median, norm, sign=True), f"{100 * difference.better:.0f} %{tied}"]
-        lines.append(tuple(Cell(text) for text in cells))
-    return Table(caption, tuple(header), tuple(lines))
+        unit = unit_of(norm)[0]
+        columns.append(Column(f"{name_of(norm)} median difference", unit, of=partial(_difference, norm=norm)))
+        columns.append(Column(f"{name_of(norm)} better", hide=2, of=partial(_better, norm=norm)))
+    return columns
+
+
+def _difference(pair: Comparison, norm: str) -> Any:
+    known = pair.differences.get(norm)
+    return None if known is None else cell(brief(known.median.value), shown(known.median, norm, sign=True))
+
+
+def _better(pair: Comparison, norm: str) -> Any:
+    known = pair.differences.get(norm)
+    if known is None:
+        return None
+    tied = f" ({100 * known.tied:.0f} % tied)" if known.tied else ""
+    return cell(brief(known.better), f"{100 * known.better:.0f} %{tied}")
 
 
 def tables_of(group: Group, summary: Summary) -> list[Table]:
@@ -195,37 +276,31 @@ def tables_of(group: Group, summary: Summary) -> list[Table]:
         error_table(caption, group.rows, summary.norms),
         axis_table(f"Absolute errors by axis{named}", group, summary.axes),
     ]
-    return [
-        *tables,
-        *([pair_table(f"Rows compared in pairs{named}", group, summary.norms)] if group.comparisons else ()),
-    ]
+    pairs = group.comparisons
+    caption = f"Rows compared in pairs{named}"
+    return [*tables, *([table_of(caption, pair_columns(summary.norms), pairs)] if pairs else ())]
 
 
 def terminal_text(summary: Summary) -> str:
     """Return the tables of a study as text, with the lines on all rows below."""
     statistics = [row for group in summary.groups for row in group.measured]
-    columns = columns_of(statistics, _TERMINAL)  # of the whole study
-    lines: list[list[str]] = []
+    figures = figures_of(statistics, _TERMINAL)  # of the whole study
+    errors: list[list[str]] = []
     by_axis: list[list[str]] = []
     for group in summary.groups:
-        errors = error_table(group.heading, group.rows, summary.norms, columns=columns)
-        for table, out in ((errors, lines), (axis_table(group.heading, group, summary.axes), by_axis)):
+        of_group = error_table(group.heading, group.rows, summary.norms, figures=figures)
+        for table, out in ((of_group, errors), (axis_table(group.heading, group, summary.axes), by_axis)):
             out += [] if out else [["", *table.header[1:]]]
             out += [[f"[{group.heading}]"]] if group.heading else []
             out += [[cell.text for cell in row] for row in table.rows]
     below = (*summary.pooled, *_unmoved(statistics), *_by_protocol(summary))
-    return "\n".join([*_aligned(lines), *(_aligned(by_axis) if summary.has_axes else ()), *below])
+    return "\n".join([*aligned(errors), *(aligned(by_axis) if summary.has_axes else ()), *below])
 
 
-def _aligned(lines: Sequence[Sequence[str]]) -> list[str]:
+def aligned(lines: Sequence[Sequence[str]]) -> list[str]:
     """Return lines of cells as text with aligned columns; a line of one cell is a heading."""
     widths = [max((len(line[i]) for line in lines if len(line) > 1), default=0) for i in range(len(lines[0]))]
-    return [_line(cells, widths) for cells in lines]
-
-
-def _line(cells: Sequence[str], widths: Sequence[int]) -> str:
-    numbers = [cell.rjust(width) for cell, width in zip(cells[1:], widths[1:], strict=False)]
-    return "  ".join([cells[0].ljust(widths[0]), *numbers]).rstrip()
+    return ["  ".join([line[0].ljust(widths[0]), *map(str.rjust, line[1:], widths[1:])]).rstrip() for line in lines]
 
 
 def _unmoved(rows: Sequence[Statistics]) -> list[str]:
@@ -255,18 +330,15 @@ def unit_of(metric: str) -> tuple[str, float, int]:
     return ("deg", 1.0, DIGITS) if metric.endswith("_deg") else ("cm", 100.0, DIGITS - 2)
 
 
+def with_unit(value: float, metric: str) -> str:
+    """Return a value in the unit of its metric as text, such as "0.250 deg"."""
+    unit, factor, digits = unit_of(metric)
+    return f"{factor * value:.{digits}f} {unit}"
+
+
 def name_of(metric: str) -> str:
     """Return the name of a metric in tables and figures, without its unit."""
     return _NAME.get(metric, metric.rpartition("_")[0])
-
-
-def predicted_text(row: Statistics) -> str:
-    """Return the predicted errors (67 %) of a row, such as "0.250 deg 5.0 cm"."""
-    parts = []
-    for norm, value in row.predicted.items():
-        unit, factor, digits = unit_of(norm)
-        parts.append(f"{factor * value:.{digits}f} {unit}")
-    return " ".join(parts) or NONE
 
 
 def shown(value: Interval | None, metric: str, *, sign: bool = False) -> str:
@@ -279,11 +351,12 @@ def shown(value: Interval | None, metric: str, *, sign: bool = False) -> str:
     return f"{first} [{', '.join(ends)}]" if ends else first
 
 
-def best(rows: Iterable[Statistics], metric: str, statistic: Literal["mean", "median"]) -> float | None:
-    """Return the smallest value among complete rows, rounded as printed; None for fewer than two rows."""
-    known = [getattr(row, statistic)(metric) for row in rows if row.complete]
-    values = [value.value for value in known if value is not None]
-    return round(min(values), DIGITS) if len(values) > 1 else None
+def leads(row: Statistics, rows: Sequence[Statistics], metric: str, statistic: Statistic) -> bool:
+    """Return whether a row has the smallest value, as printed, among two or more complete rows."""
+    known = [getattr(one, statistic)(metric) for one in rows if one.complete]
+    values = [round(value.value, DIGITS) for value in known if value is not None]
+    own = getattr(row, statistic)(metric)
+    return row.complete and own is not None and len(values) > 1 and round(own.value, DIGITS) == min(values)
 
 
 def label_cell(row: Statistics | Published) -> Cell:
@@ -295,19 +368,10 @@ def _published(row: Published, metric: str) -> Cell:
     return Cell(shown(Interval(row.values[metric]), metric), "italic") if metric in row.values else Cell(NONE)
 
 
-def _mean(row: Statistics, rows: Sequence[Statistics], metric: str) -> Cell:
-    return _figure(row, row.mean(metric), best(rows, metric, "mean"), metric)
-
-
-def _median(row: Statistics, rows: Sequence[Statistics], metric: str) -> Cell:
-    value = row.median(metric)
-    plain = None if value is None else Interval(value.value)
-    return _figure(row, plain, best(rows, metric, "median"), metric)
-
-
-def _figure(row: Statistics, value: Interval | None, first: float | None, metric: str) -> Cell:
-    leads = value is not None and row.complete and first is not None and round(value.value, DIGITS) == first
-    return Cell(shown(value, metric), "bold" if leads else "")
+def _error(row: Statistics, rows: Sequence[Statistics], metric: str, statistic: Statistic) -> Cell:
+    value = getattr(row, statistic)(metric)
+    plain = Interval(value.value) if value is not None and statistic == "median" else value
+    return Cell(shown(plain, metric), "bold" if leads(row, rows, metric, statistic) else "")
 
 
 def _reached(group: Group, metrics: Sequence[str]) -> str:
@@ -403,3 +467,23 @@ def tex_text(text: str) -> str:
         return "--"
     plain = "".join(_TEX.get(letter, letter) for letter in _one_line(text))
     return f"{{}}{plain}" if plain.startswith(("[", "*")) else plain
+
+
+def _run_figure(name: str, metric: str, of: Callable[[Row], float | None], hide: int) -> Column:
+    return Column(name, *unit_of(metric)[::2], hide=hide, of=lambda run: in_unit(of(run), metric))
+
+
+VERDICT = Column("verdict", text=True, hide=1, order=list(Trust), looks=TRUST_LOOKS, of=lambda run: run.trust)
+RUN_COLUMNS = (
+    Column("frame", text=True, hide=0, of=lambda run: run.place),
+    Column("seed", hide=4, of=lambda run: run.seed),
+    Column("status", text=True, hide=3, of=lambda run: run.status if run.solved else cell(run.status, look="bad")),
+    VERDICT,
+    *(_run_figure(name_of(m), m, methodcaller("error_of", m), 1 if m in NORMS else 5) for m in METRICS),
+    *(_run_figure(f"{name_of(norm)} initial", norm, methodcaller("start_error_of", norm), 4) for norm in NORMS),
+    *(_run_figure(f"{name_of(norm)} 67 %", norm, methodcaller("predicted", norm), 3) for norm in NORMS),
+    *(_run_figure(f"{name_of(norm)} 95 %", norm, methodcaller("predicted", f"{norm}_95"), 5) for norm in NORMS),
+    Column("time", "s", 2, hide=4, of=lambda run: brief(run.total_s)),
+    Column("names of frames", off=True, of=lambda run: ", ".join(run.frames) if len(run.frames) > 1 else None),
+)
+"""The columns of runs on pages."""

@@ -5,7 +5,6 @@ A worker process caches plugins, datasets, stages and features, which successive
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import threading
@@ -22,6 +21,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from p2o.arrays import Float, leaves
 from p2o.cache import FeatureCache, content_hash
+from p2o.calibration.version import ALGORITHM
 from p2o.errors import InputError, P2OError, one_line
 from p2o.frames.frame import Frame
 from p2o.geometry import se3
@@ -33,7 +33,7 @@ from p2o.host.slots import WITNESS
 from p2o.results.figures import figure_values
 from p2o.results.result import Result, Status
 from p2o.run.assembly import INPUTS, Assembly, given
-from p2o.run.fit import FRAME_CONTENT
+from p2o.run.fit import contents_of
 from p2o.run.joined import JoinedFrames
 from p2o.run.pipeline import Pipeline
 from p2o.run.read_again import FrameInfo, ReadAgain
@@ -42,7 +42,7 @@ from p2o.run.rig_motion import CameraSweeps, with_common_motions
 from p2o.run.rig_solve import RigCameraFrames, solve_rig
 
 from p2o_study.damage import Damage
-from p2o_study.keys import features_key, method_content
+from p2o_study.keys import method_content
 from p2o_study.machine import machine_info
 from p2o_study.parallel import limit_threads
 from p2o_study.row import Row, brief_figures
@@ -97,15 +97,10 @@ class Source:
 
 @dataclass(frozen=True)
 class ReadJob:
-    """A job to read a frame: `checks` are recipes (JSON) whose inputs are checked.
-
-    The features of the extractors in `wanted` (recipe, stage) are cached, so that the frame is read only once.
-    """
+    """A job to read a frame."""
 
     source: Source
     cache: Path
-    checks: tuple[str, ...] = ()
-    wanted: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,9 +108,9 @@ class FrameRecord:
     """The data of a frame that planning needs; `inputs` are content hashes of its parts.
 
     `digests` are hashes of image, sweep and calibration that are equal on all machines (`portable_hash`), `contents`
-    the words for its optional content, such as "rings". Hashes of a computed frame are those of its `Identity`.
-    `missing_inputs` describes by recipe of the `checks` what the frame lacks. For a frame that cannot be read,
-    `failure` is the traceback and `reason` one line. `cache_error` is the reason if features could not be cached.
+    the words for its optional content, such as "rings". Hashes of a computed frame are those of its `Identity`. For a
+    frame that cannot be read, `failure` is the traceback and `reason` one line. `cache_error` is the reason if features
+    could not be cached.
     """
 
     source: Source
@@ -128,7 +123,6 @@ class FrameRecord:
     warnings: tuple[str, ...] = ()
     digests: Mapping[str, str] = field(default_factory=dict)
     contents: tuple[str, ...] = ()
-    missing_inputs: Mapping[str, str] = field(default_factory=dict)
     reason: str = ""
     failure: str | None = None
     cache_error: str = ""
@@ -148,20 +142,15 @@ class ExtractJob:
     wanted: tuple[tuple[str, str, str], ...]
 
 
-@dataclass(frozen=True)
-class Extracted:
-    """Reason and traceback by key of failures; `cache_error` is the reason if features could not be cached."""
-
-    failed: Mapping[str, tuple[str, str]]
-    cache_error: str = ""
-
-
 @dataclass(frozen=True, eq=False)
 class CalibrateJob:
     """A job to compute one row: `row` has the fields known in advance, `recipe` (JSON) the methods.
 
     `keys` are the cache keys of the features of each frame by stage; stages without a key have no cached output.
     `damage` is applied to image features between extraction and calibration.
+
+    `cameras` are the records of a rig by camera, that of the first frame first. The fixed transforms between the
+    cameras are those of the ground truth of their frames. Features are extracted by the job: no record has `keys`.
     """
 
     row: Row
@@ -170,50 +159,38 @@ class CalibrateJob:
     cache: Path
     keys: tuple[Mapping[str, str], ...]
     damage: Damage = field(default_factory=Damage)
-
-
-@dataclass(frozen=True, eq=False)
-class RigJob(CalibrateJob):
-    """A job to compute one row of a rig: `cameras` are the records by camera, that of the first frame first.
-
-    The fixed transforms between the cameras are those of the ground truth of their frames. Features are extracted by
-    the job: no record has `keys`.
-    """
-
     cameras: Mapping[str, tuple[FrameRecord, ...]] = field(default_factory=dict)
 
 
+_RECORD_FORMAT = 3
 _OF_FRAME = ("camera", "camera_from_lidar", "start", "camera_name", "twist", "warnings")
 
 
 def read(job: ReadJob) -> FrameRecord:
-    """Read a frame and return its record; a frame that cannot be read has a `failure`."""
-    source, cache = job.source, _BestEffortCache(job.cache)
+    """Read a frame and return its record; a frame that cannot be read has a `failure`.
+
+    A computed frame is not rendered if the cache has its record. Frames that are files are read each time.
+    """
+    source, cache = job.source, BestEffortCache(job.cache)
     try:
-        frame, identity = _frame(source), identity_of(source)
-        hashes = input_hashes(frame) if identity is None else identity.input_hashes
-        missing = {recipe: _missing_input(_plan(source.plugins, recipe), frame) for recipe in job.checks}
-        missing_inputs = {recipe: misfit for recipe, misfit in missing.items() if misfit}
-        for recipe, stage in () if missing_inputs else job.wanted:
-            part = _plan(source.plugins, recipe).parts[stage]
-            key = features_key(part, hashes[INPUTS[stage]])
-            # An extractor that fails here fails again in a row that needs it, which reports the error.
-            with contextlib.suppress(Exception):
-                _prepare(cache, key, source, part, stage)
+        identity = identity_of(source)
+        key = "" if identity is None else content_hash([_RECORD_FORMAT, ALGORITHM, identity])
+        if key and (kept := cache.get(key)) is not None:
+            return FrameRecord(source, **kept.features)
+        frame = _frame(source)
+        values = {name: getattr(frame, name) for name in _OF_FRAME}
+        values |= {
+            "inputs": input_hashes(frame) if identity is None else identity.input_hashes,
+            "digests": content_digests(frame) if identity is None else identity.content_digests,
+            "contents": tuple(sorted(contents_of(frame))),
+        }
     except KeyboardInterrupt:
         raise
     except BaseException as problem:  # also SystemExit, which would end the worker
         return _failed_record(source, _one_line(problem), traceback.format_exc())
-    kept = {name: getattr(frame, name) for name in _OF_FRAME}
-    return FrameRecord(
-        source,
-        hashes,
-        **kept,
-        digests=content_digests(frame) if identity is None else identity.content_digests,
-        contents=tuple(word for word, find in FRAME_CONTENT.items() if find(frame) is not None),
-        missing_inputs=missing_inputs,
-        cache_error=cache.cache_error,
-    )
+    if key:
+        cache.put(key, values, 0.0)
+    return FrameRecord(source, **values, cache_error=cache.cache_error)
 
 
 def read_failed(job: ReadJob, problem: P2OError) -> FrameRecord:
@@ -302,51 +279,27 @@ def portable_hash(value: Any) -> str:
     )
 
 
-def _missing_input(plan: Plan, frame: Frame) -> str:
-    try:
-        plan.check_frame(frame)
-    except InputError as problem:
-        return str(problem)
-    return ""
+def extract(job: ExtractJob) -> str:
+    """Extract the features that are not cached; return the reason if they could not be cached.
 
-
-def extract(job: ExtractJob) -> Extracted:
-    """Extract the features that are not cached and return the failures."""
-    cache = _BestEffortCache(job.cache)
-    failed = {}
+    An extractor that raises here raises again in the rows that need it, which report the error.
+    """
+    cache = BestEffortCache(job.cache)
     for key, recipe, stage in job.wanted:
         if not cache.has(key):
             try:
-                _prepare(cache, key, job.source, _plan(job.source.plugins, recipe).parts[stage], stage)
+                prepared(cache, key, job.source, plan_of(job.source.plugins, recipe).parts[stage], stage)
             except KeyboardInterrupt:
                 raise
-            except BaseException as problem:
-                # Without the second extractor, results are not checked, which their verdict reports.
-                if stage in WITNESS:
-                    continue
-                failed[key] = (_one_line(problem), traceback.format_exc())
-    return Extracted(failed, cache.cache_error)
-
-
-def extraction_failed(job: ExtractJob, problem: P2OError) -> Extracted:
-    """Return the failures of a job that terminated every worker."""
-    return Extracted({key: (str(problem), str(problem)) for key, _, _ in job.wanted})
+            except BaseException:
+                continue
+    return cache.cache_error
 
 
 def calibrate(job: CalibrateJob) -> Row:
-    """Calibrate and return the complete row; an exception of a method is part of the row."""
-    return _complete(job, lambda: _result(job))
-
-
-def calibrate_rig(job: RigJob) -> Row:
-    """Calibrate all cameras of a rig in one problem and return the complete row, as `calibrate`."""
-    return _complete(job, lambda: _rig_result(job))
-
-
-def _complete(job: CalibrateJob, calibrated: Callable[[], Result]) -> Row:
-    """Return the row of a job with its result, or with the exception of the method."""
+    """Calibrate the frames of one camera, or of a rig, and return the complete row, also of an exception."""
     try:
-        row = _filled(job.row, calibrated())
+        row = _filled(job.row, _rig_result(job) if job.cameras else _result(job))
     except KeyboardInterrupt:
         raise
     except BaseException as problem:
@@ -354,11 +307,6 @@ def _complete(job: CalibrateJob, calibrated: Callable[[], Result]) -> Row:
     machine = machine_info()
     environment = replace(row.environment, machine={name: v for name, v in machine.items() if name != "load"})
     return replace(row, environment=environment, load=float(machine["load"]), finished=now())
-
-
-def compute(job: CalibrateJob) -> Row:
-    """Return the complete row of frames of one camera, or of a rig."""
-    return calibrate_rig(job) if isinstance(job, RigJob) else calibrate(job)
 
 
 def calibration_failed(job: CalibrateJob, problem: P2OError) -> Row:
@@ -397,15 +345,15 @@ def _filled(row: Row, result: Result) -> Row:
 
 def _result(job: CalibrateJob) -> Result:
     assert job.row.start is not None
-    plugins, cache, took = job.records[0].source.plugins, _BestEffortCache(job.cache), []
-    plan = _plan(plugins, job.recipe)
+    plugins, cache, took = job.records[0].source.plugins, BestEffortCache(job.cache), []
+    plan = plan_of(plugins, job.recipe)
     assembly = Assembly.of(plan.parts, plan.pipeline, built)
     limit_threads()
 
     def pieces(records: FrameRecord, keys: Mapping[str, str], stages: Iterable[str]) -> dict[str, Any]:
         values = {}
         for stage in stages:
-            values[stage], seconds = _prepare(cache, keys[stage], records.source, plan.parts[stage], stage)
+            values[stage], seconds = prepared(cache, keys[stage], records.source, plan.parts[stage], stage)
             took.append(seconds)
         return values
 
@@ -417,14 +365,13 @@ def _result(job: CalibrateJob) -> Result:
 
     infos = [FrameInfo(r.name, r.camera, twist=r.twist) for r in job.records if r.camera is not None]
     each = list(zip(job.records, job.keys, strict=True))
-    prepared: Sequence[Any]
+    given_pieces: Sequence[Any]
     if assembly.reads_frames:
-        prepared = ReadAgain(lambda number: _frame(job.records[number].source), range(len(each)), truth=False)
+        given_pieces = ReadAgain(lambda number: _frame(job.records[number].source), range(len(each)), truth=False)
     else:
-        prepared = [features(info, records, keys) for info, (records, keys) in zip(infos, each, strict=True)]
-    result = with_cost_of_truth(
-        assembly, infos, prepared, assembly.calibrated(infos, prepared, job.row.start), job.row.truth
-    )
+        given_pieces = [features(info, records, keys) for info, (records, keys) in zip(infos, each, strict=True)]
+    result = assembly.calibrated(infos, given_pieces, job.row.start)
+    result = with_cost_of_truth(assembly, infos, given_pieces, result, job.row.truth)
     # For cached features, the time of their extraction counts.
     seconds = {**result.seconds, "extract": sum(took)}
     result = assembly.checked(result, infos, lambda number: pieces(*each[number], WITNESS))
@@ -432,12 +379,12 @@ def _result(job: CalibrateJob) -> Result:
     return replace(result, seconds=seconds, warnings=(*warnings, *result.warnings))
 
 
-def _rig_result(job: RigJob) -> Result:
+def _rig_result(job: CalibrateJob) -> Result:
     """Return the common result of a rig as that of its first camera, which is the body: the other ones follow from it.
 
     As in `p2o run --rig`, each camera is calibrated alone, then all of them together.
     """
-    start, plan = job.row.start, _plan(job.records[0].source.plugins, job.recipe)
+    start, plan = job.row.start, plan_of(job.records[0].source.plugins, job.recipe)
     assert start is not None
     assembly = Assembly.of(plan.parts, plan.pipeline, built)
     places, frames = {}, {}
@@ -448,13 +395,11 @@ def _rig_result(job: RigJob) -> Result:
         places[name] = pose @ se3.inverse(body)
         frames[name] = _frames_of(records)
     limit_threads()
-    began = time.perf_counter()
+    began, names = time.perf_counter(), list(job.cameras)
 
     def solve(number: int, methods: Assembly) -> Result:
-        name = names[number]
-        return methods(frames[name], places[name] @ start)
+        return methods(frames[names[number]], places[names[number]] @ start)
 
-    names = list(job.cameras)
     own = [solve(number, assembly) for number in range(len(names))]
     sweeps = [CameraSweeps.of(name, frames[name], result) for name, result in zip(names, own, strict=True)]
     own = with_common_motions(sweeps, assembly, solve)
@@ -505,7 +450,8 @@ def _registry(plugins: Plugins) -> Registry:
 
 
 @lru_cache(maxsize=256)
-def _plan(plugins: Plugins, recipe: str) -> Plan:
+def plan_of(plugins: Plugins, recipe: str) -> Plan:
+    """Return the plan of a recipe (JSON), resolved once in this process."""
     return Recipe.of(**json.loads(recipe)).resolve(_registry(plugins))
 
 
@@ -589,7 +535,7 @@ def built(part: Part) -> Any:
     return _stages[name]
 
 
-class _BestEffortCache(FeatureCache):
+class BestEffortCache(FeatureCache):
     """A cache whose write errors are recorded but not raised: a full disk costs time only."""
 
     cache_error: str = ""
@@ -602,7 +548,7 @@ class _BestEffortCache(FeatureCache):
             return False
 
 
-def _prepare(cache: FeatureCache, key: str, source: Source, part: Part, stage: str) -> tuple[Any, float]:
+def prepared(cache: FeatureCache, key: str, source: Source, part: Part, stage: str) -> tuple[Any, float]:
     """Return the output of a stage for a frame and its time in s, from memory, the cache or the stage."""
 
     def find_or_compute() -> tuple[Any, float]:

@@ -31,7 +31,7 @@ def test_published_methods_are_those_of_the_study_of_rivals() -> None:
     def plan(words: dict[str, object]) -> dict[str, object]:
         return Recipe.of(**{"data": None, **words}).resolve(REGISTRY).described()
 
-    rows = [row for row in find_study("rivals", REGISTRY).study.rows() if not row.joint]
+    rows = [row for row in find_study("rivals", REGISTRY).rows() if not row.joint]
     alone = ("perturb", "witness")
     of_study = [plan({k: v for k, v in row.words.items() if k not in alone}) for row in rows]
     own = ("ours-without-prior", "paper")

@@ -53,6 +53,12 @@ FRAME_CONTENT: dict[str, Callable[[Frame], object]] = {
 }
 """Names of the optional content of a frame, each with a function that reads it from the frame."""
 
+
+def contents_of(frame: Frame) -> frozenset[str]:
+    """Return the names of the optional content that a frame has."""
+    return frozenset(word for word, find in FRAME_CONTENT.items() if find(frame) is not None)
+
+
 _ALSO = {"objective": ("pairs", "residuals"), "residuals": ("pairs",)}
 """Names that imply others: pairs are a least-squares problem, whose robust sum is a cost."""
 

@@ -16,7 +16,7 @@ from p2o.host.method import Kind, Method
 from p2o.host.registry import Offer, Registry, watch
 from p2o.host.slots import KIND_OF, STAGED_WORDS, STAGES, WIDE, WITNESS, WITNESS_STAGES
 from p2o.options import Options, validated
-from p2o.run.fit import FRAME_CONTENT, check_fit, misfit_of, suggest_alternative
+from p2o.run.fit import check_fit, contents_of, misfit_of, suggest_alternative
 from p2o.run.part import Part as Part
 from p2o.run.part import part_of
 from p2o.run.rig import Rig
@@ -247,7 +247,10 @@ class Plan:
 
     def check_frame(self, frame: Frame) -> None:
         """Raise InputError with alternatives if a method needs content that this frame does not have."""
-        contents = frozenset(word for word, find in FRAME_CONTENT.items() if find(frame) is not None)
+        self.check_contents(frame.name, contents_of(frame))
+
+    def check_contents(self, frame: str, contents: frozenset[str]) -> None:
+        """Raise InputError as `check_frame` for the name of a frame with these words for its optional content."""
         # The independent check is no stage of the method: if a frame lacks its inputs, the verdict reports it.
         offers = {stage: part.offer for stage, part in self.parts.items() if stage not in WITNESS}
         # Frames passed in Python have no dataset: substitute one that guarantees no content.
@@ -257,7 +260,7 @@ class Plan:
         if misfit is not None:
             word, _, user = misfit
             hint = suggest_alternative(offers, self.registry, user, contents)
-            raise InputError(f"the frame has no {word}; {user.name} needs it", where=frame.name, hint=hint)
+            raise InputError(f"the frame has no {word}; {user.name} needs it", where=frame, hint=hint)
 
     def described(self) -> dict[str, Any]:
         """Return the recipe with every option that took effect, ready for JSON; `Recipe.of(**it)` repeats the run."""

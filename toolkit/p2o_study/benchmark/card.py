@@ -6,8 +6,7 @@ A card also holds the digests of its frames, by which a reader verifies that own
 from __future__ import annotations
 
 import json
-import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -29,8 +28,6 @@ FOLDER = Path("benchmarks/cards")
 _FACTS = ("sensor", "camera", "place", "frames", "licence", "source", "truth", "faults", "learned")
 _COLUMNS = ("sensor", "camera")
 _OF_PAGE = ("truth", "faults", "learned")
-_HEAD = "<!-- cards -->\n"
-_PART = re.compile(r"(?<=^<!-- cards -->\n).*?(?=^<!-- /cards -->$)", re.DOTALL | re.MULTILINE)
 
 Digest = Annotated[str, StringConstraints(pattern="^[0-9a-f]{64}$")]
 Name = Annotated[str, StringConstraints(min_length=1, max_length=500)]
@@ -108,20 +105,6 @@ def _markdown(cards: Mapping[str, Card], sections: Sequence[str], facts: Sequenc
         lines += ["", f"## {name}", ""]
         lines += [f"- **{fact}**: {md_text(cards[name].facts[fact])}" for fact in facts]
     return "\n".join([*lines, ""])
-
-
-def with_cards(text: str, where: str, cards: Callable[[], Mapping[str, Card]]) -> str:
-    """Return a page with the part between `<!-- cards -->` and `<!-- /cards -->` replaced.
-
-    Cards are read only for a page that has the mark. Raises InputError for a mark that is not closed.
-    """
-    if _HEAD not in text:
-        return text
-    parts = list(_PART.finditer(text))
-    if len(parts) != 1 or text.count(_HEAD) != 1:
-        expected = "<!-- cards --> on its own line once, and <!-- /cards --> after it"
-        raise InputError("the marked part of the cards is not valid", where=where, expected=expected)
-    return text[: parts[0].start()] + page_text(cards()) + text[parts[0].end() :]
 
 
 def frame_digests(data: str, frames: str, plugins: Plugins) -> dict[str, str]:

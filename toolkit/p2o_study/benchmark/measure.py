@@ -3,31 +3,28 @@
 from __future__ import annotations
 
 import subprocess
-from array import array
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from math import isclose
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import p2o
 from p2o.errors import UnknownNameError
 from p2o.geometry.pose_error import pose_error
 
-from p2o_study.ablate import OnProgress, OnWarning, Progress, calibrated, open_session
-from p2o_study.benchmark.suite import SuiteFile
+from p2o_study.ablate import Progress, open_session
+from p2o_study.benchmark.suite import Suite
 from p2o_study.cells import Cell, Method
-from p2o_study.parallel import Workers
 from p2o_study.row import Row
 from p2o_study.rows import Rows
 from p2o_study.worker import Plugins
 
-SAMPLE = 30
 SAME_DEG, SAME_M, SAME_PREDICTED = 1e-6, 1e-6, 1e-3
 """Largest difference of a pose that is computed again, and largest relative difference of a predicted error."""
 OTHER_DEG, OTHER_M, OTHER_PREDICTED = 0.02, 0.005, 0.1
@@ -45,23 +42,11 @@ class State(StrEnum):
     START = "initial guess changed"
 
 
-@dataclass(frozen=True, slots=True)
-class Entry:
-    """One calibration of a suite and the state of its row."""
+class Entry(NamedTuple):
+    """One calibration of a suite, planned or finished, and the state of its row."""
 
-    dataset: str
-    section: str
-    row: str
-    place: str
-    protocol: str
-    seed: int
+    row: Row
     state: State
-
-    @classmethod
-    def of(cls, planned: Any, state: State) -> Entry:
-        """Return the entry of a planned or finished calibration."""
-        names = (planned.dataset, planned.section, planned.row, planned.place, planned.protocol, planned.seed)
-        return cls(*names, state)
 
 
 @dataclass(frozen=True)
@@ -70,7 +55,9 @@ class SuiteStatus:
 
     `unchecked` are datasets without a path: their existing rows are compared by method only, and missing ones are
     unknown. `surplus` counts rows that the suite does not ask for, or that a later row replaces, `unreadable`
-    calibrations with a frame that cannot be read.
+    calibrations with a frame that cannot be read. `kept` and `removable` are the rows: one can be removed if a later
+    one replaces it, or if the suite does not ask for it. Of datasets without a path or with a frame that cannot be
+    read, only replaced rows can be removed.
     """
 
     suite: str
@@ -78,6 +65,8 @@ class SuiteStatus:
     unchecked: tuple[str, ...]
     surplus: int
     unreadable: int
+    kept: Sequence[Row]
+    removable: Sequence[Row]
 
     def count(self, state: State) -> int:
         """Return the number of calibrations in a state."""
@@ -93,7 +82,7 @@ class SuiteStatus:
         return {
             "suite": self.suite,
             "counts": {state.value: self.count(state) for state in State},
-            "outdated": [asdict(entry) for entry in self.outdated],
+            "outdated": [{**row.named(), "state": state.value} for row, state in self.outdated],
             "unchecked_datasets": list(self.unchecked),
             "surplus_rows": self.surplus,
             "unreadable": self.unreadable,
@@ -115,7 +104,7 @@ class _Known:
 
     def state(self, cell: Cell) -> tuple[State, Row | None]:
         """Return the state of a calibration and its row, the last measured one unless there is a fresh one."""
-        planned = cell.planned
+        planned = cell.row
         if (fresh := self.by_label.get((planned.key, planned.identity))) is not None:
             return State.FRESH, fresh
         row = self.by_identity.get(planned.identity)
@@ -127,16 +116,14 @@ class _Known:
 def _why_stale(cell: Cell, row: Row) -> State:
     if row.crashed:
         return State.CRASHED
-    if [f.content for f in row.case.frames] != [f.content for f in cell.planned.case.frames]:
+    if [f.content for f in row.case.frames] != [f.content for f in cell.row.case.frames]:
         return State.DATA
-    if row.method.revision != cell.planned.method.revision and not row.method.external:
+    if row.method.revision != cell.row.method.revision and not row.method.external:
         return State.METHOD
-    return State.FRESH if row.method.external and _same_start(cell, row) else State.START
-
-
-def _same_start(cell: Cell, row: Row) -> bool:
-    starts = cell.planned.start, row.start
-    return all(start is not None for start in starts) and np.allclose(*starts, rtol=0, atol=1e-6)  # type: ignore[arg-type]
+    starts = cell.row.start, row.start
+    known = all(start is not None for start in starts)
+    same_start = known and np.allclose(*starts, rtol=0, atol=1e-6)  # type: ignore[arg-type]
+    return State.FRESH if row.method.external and same_start else State.START
 
 
 @dataclass(frozen=True)
@@ -156,52 +143,43 @@ class Measured:
     interrupted: bool
 
 
-def measure(
-    suite: SuiteFile,
-    results: Rows,
-    *,
-    measured_by: str,
-    sections: Collection[str] = (),
-    plugins: Plugins | None = None,
-    workers: Workers | None = None,
-    at_most: int | None = None,
-    on_progress: OnProgress | None = None,
-    on_warning: OnWarning | None = None,
-) -> Measured:
+def measure(suite: Suite, results: Rows, *, measured_by: str, sections: Collection[str] = (), **words: Any) -> Measured:
     """Compute the missing and stale rows of a suite, or of some of its `sections`, and append them to the results.
 
     Each row is appended when it is finished, so that an interrupted measurement continues. A calibration that another
     suite has measured with this version of the method is not computed again, unless the suite has `share = false`.
-    Raises UnknownNameError for an unknown section, and as `p2o_study.ablate.ablate`.
+    The other words are those of `open_session`. Raises UnknownNameError for an unknown section, and as `ablate`.
     """
-    names = list(dict.fromkeys(row.section for row in suite.rows))
+    names = list(dict.fromkeys(row.section for row in suite.all_rows()))
     for section in sections:
         if section not in names:
-            raise UnknownNameError("section", section, names, where=suite.source)
+            raise UnknownNameError("section", section, names, where=suite.file)
     results.make_folder()
-    known, before, commit = _Known(results.each(suite.name)), _crashed(results, suite.name), source_version()
-    from_others = [] if not suite.suite.share else [name for name in results.studies if name != suite.name]
+    known, commit = _Known(results.each(suite.name)), source_version()
+    from_others = [] if not suite.share else [name for name in results.studies if name != suite.name]
     same = {**_Known(row for name in from_others for row in results.each(name)).by_key, **known.by_key}
-    pending = array("q")
-    fresh = shared = unreadable = 0
+    pending: list[int] = []
+    fresh = shared = unreadable = crashed = 0
     interrupted = False
 
     def as_stored(row: Row) -> Row:
+        nonlocal crashed
+        crashed += row.crashed
         environment = replace(row.environment, commit=commit, measured_by=measured_by)
         return replace(row.brief(), environment=environment)
 
-    with open_session(suite.study.study, plugins, workers, None, at_most, on_progress, on_warning) as session:
+    with open_session(suite, **words) as session:
         try:
             cells = session.cells()
             for position, cell in enumerate(cells):
-                if sections and cell.planned.section not in sections:
+                if sections and cell.row.section not in sections:
                     continue
                 if not cell.group.readable:
                     unreadable += 1
                 elif known.state(cell)[0] is State.FRESH:
                     fresh += 1
-                elif cell.planned.key in same:
-                    results.put(suite.name, _labelled(same[cell.planned.key], cell))
+                elif cell.row.key in same:
+                    results.put(suite.name, _labelled(same[cell.row.key], cell))
                     shared += 1
                 else:
                     pending.append(position)
@@ -211,72 +189,62 @@ def measure(
         known, missing = _Known(results.each(suite.name)), 0
         for cell in (cells[position] for position in pending):
             # Two rows of the suite may be the same calibration, which is computed once.
-            if cell.planned.key in known.by_key and (cell.planned.key, cell.planned.identity) not in known.by_label:
-                results.put(suite.name, _labelled(known.by_key[cell.planned.key], cell))
-            missing += cell.planned.identity not in known.by_identity and cell.planned.key not in known.by_key
-    crashed = _crashed(results, suite.name) - before
+            if cell.row.key in known.by_key and (cell.row.key, cell.row.identity) not in known.by_label:
+                results.put(suite.name, _labelled(known.by_key[cell.row.key], cell))
+            missing += cell.row.identity not in known.by_identity and cell.row.key not in known.by_key
     return Measured(fresh, shared + len(pending) - missing, shared, crashed, missing, unreadable, interrupted)
 
 
 def _labelled(row: Row, cell: Cell) -> Row:
     """Return a row under the labels of another calibration with the same key."""
-    return replace(row, **{name: getattr(cell.planned, name) for name in ("row", "section", "case", "method")})
+    return replace(row, **{name: getattr(cell.row, name) for name in ("row", "section", "case", "method")})
 
 
-def _crashed(results: Rows, suite: str) -> int:
-    return sum(row.crashed for row in results.each(suite))
+def status_of(suite: Suite, results: Rows, plugins: Plugins, **words: Any) -> SuiteStatus:
+    """Return the status of a suite; frames of datasets with a path are read, nothing is computed.
 
-
-def status_of(
-    suite: SuiteFile,
-    results: Rows,
-    *,
-    plugins: Plugins | None = None,
-    workers: Workers | None = None,
-    on_progress: OnProgress | None = None,
-) -> SuiteStatus:
-    """Return the status of a suite; frames of datasets with a path are read, nothing is computed."""
+    The other words are those of `open_session`.
+    """
     rows = list(results.each(suite.name))
-    known, unchecked = _Known(rows), _unchecked(suite)
+    known, unchecked = _Known(rows), {table.name for table in suite.dataset if table.left_out}
     entries: list[Entry] = []
     asked: dict[Any, Cell] = {}
-    unreadable = 0
-    for cell in _cells(suite, plugins, workers, on_progress):
-        if not cell.group.readable:
-            unreadable += 1
-            continue
-        asked[cell.planned.identity] = cell
-        asked.setdefault(_any_method(cell.planned.identity), cell)
-        entries.append(Entry.of(cell.planned, known.state(cell)[0]))
+    unreadable: list[str] = []
+    if len(unchecked) < len(suite.dataset):
+        with open_session(suite, plugins, **{**words, "on_warning": lambda text: None}) as session:
+            for cell in session.cells():
+                if not cell.group.readable:
+                    unreadable.append(cell.row.dataset)
+                    continue
+                asked[cell.row.identity] = cell
+                asked.setdefault(_any_method(cell.row.identity), cell)
+                entries.append(Entry(cell.row, known.state(cell)[0]))
     revisions = _revisions(suite, plugins) if unchecked else {}
     surplus = len(rows) - len(known.by_identity)
-    for identity, row in known.by_identity.items():
-        if identity in asked:
-            continue
-        if row.method.external and (same := asked.get(_any_method(identity))) is not None:
-            entries.append(Entry.of(row, _why_stale(same, row)))
-        elif row.dataset in unchecked and (row.method.external or (row.section, row.row) in revisions):
+    for row in known.by_identity.values():
+        same = asked.get(_asked_by(row))
+        if same is not None and row.method.external:
+            entries.append(Entry(row, _why_stale(same, row)))
+        elif same is None and row.dataset in unchecked and (row.method.external or (row.section, row.row) in revisions):
             current = row.method.external or row.method.revision in revisions[row.section, row.row]
-            entries.append(Entry.of(row, State.CRASHED if row.crashed else State.FRESH if current else State.METHOD))
-        else:
+            entries.append(Entry(row, State.CRASHED if row.crashed else State.FRESH if current else State.METHOD))
+        elif same is None:
             surplus += 1
-    return SuiteStatus(suite.name, tuple(entries), tuple(sorted(unchecked)), surplus, unreadable)
-
-
-def _unchecked(suite: SuiteFile) -> set[str]:
-    return {table.name for table in suite.study.study.dataset if table.left_out}
-
-
-def _cells(
-    suite: SuiteFile, plugins: Plugins | None, workers: Workers | None, on_progress: OnProgress | None
-) -> Sequence[Cell]:
-    """Return the calibrations of a suite on the data of this machine; frames are read."""
-    if len(_unchecked(suite)) == len(suite.study.study.dataset):
-        return ()
-    with open_session(
-        suite.study.study, plugins, workers, on_progress=on_progress, on_warning=lambda text: None
-    ) as session:
-        return session.cells()
+    fresh = {cell.row.key for cell in asked.values()}
+    kept: dict[Any, Row] = {}
+    for row in rows:
+        before = kept.get(row.identity)
+        replaces = (
+            before is None or before.crashed or not (row.crashed or (before.key in fresh and row.key not in fresh))
+        )
+        if replaces and (_asked_by(row) in asked or row.dataset in {*unchecked, *unreadable}):
+            kept[row.identity] = row
+    chosen = set(map(id, kept.values()))
+    removable = [row for row in rows if id(row) not in chosen]
+    without_data = tuple(sorted(unchecked))
+    return SuiteStatus(
+        suite.name, tuple(entries), without_data, surplus, len(unreadable), list(kept.values()), removable
+    )
 
 
 def _any_method(identity: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -285,47 +253,17 @@ def _any_method(identity: tuple[Any, ...]) -> tuple[Any, ...]:
     return (section, dataset, None, *draw)
 
 
-def _revisions(suite: SuiteFile, plugins: Plugins | None) -> Mapping[tuple[str, str], set[str]]:
+def _asked_by(row: Row) -> tuple[Any, ...]:
+    return _any_method(row.identity) if row.method.external else row.identity
+
+
+def _revisions(suite: Suite, plugins: Plugins) -> Mapping[tuple[str, str], set[str]]:
     """Return the revisions of the methods of each row, by section and label; no data are needed."""
-    registry = (Plugins.of() if plugins is None else plugins).registry()
+    registry = plugins.registry()
     return {
         (row.section, row.label): {Method.of(row, seed, "{}", {}, registry).digest for seed in row.seeds}
-        for row in suite.rows
+        for row in suite.all_rows()
     }
-
-
-def prunable(
-    suite: SuiteFile,
-    results: Rows,
-    *,
-    plugins: Plugins | None = None,
-    workers: Workers | None = None,
-    on_progress: OnProgress | None = None,
-) -> tuple[list[Row], list[Row]]:
-    """Return the rows of a suite to keep and those that can be removed; nothing is computed.
-
-    A row can be removed if a later one replaces it, or if the suite does not ask for it. Of datasets without a path or
-    with a frame that cannot be read, only replaced rows can be removed.
-    """
-    rows, incomplete = list(results.each(suite.name)), _unchecked(suite)
-    asked: set[Any] = set()
-    fresh: set[str] = set()
-    for cell in _cells(suite, plugins, workers, on_progress):
-        if not cell.group.readable:
-            incomplete.add(cell.planned.dataset)
-        asked |= {cell.planned.identity, _any_method(cell.planned.identity)}
-        fresh.add(cell.planned.key)
-    kept: dict[Any, Row] = {}
-    for row in rows:
-        identity = _any_method(row.identity) if row.method.external else row.identity
-        before = kept.get(row.identity)
-        replaces = (
-            before is None or before.crashed or not (row.crashed or (before.key in fresh and row.key not in fresh))
-        )
-        if replaces and (identity in asked or row.dataset in incomplete):
-            kept[row.identity] = row
-    chosen = set(map(id, kept.values()))
-    return list(kept.values()), [row for row in rows if id(row) not in chosen]
 
 
 @dataclass(frozen=True)
@@ -366,43 +304,34 @@ class Recheck:
         return "\n".join(lines)
 
 
-def recheck(
-    suite: SuiteFile,
-    results: Rows,
-    *,
-    sample: int = SAMPLE,
-    seed: int,
-    plugins: Plugins | None = None,
-    workers: Workers | None = None,
-    on_progress: OnProgress | None = None,
-    on_warning: OnWarning | None = None,
-) -> Recheck:
+def recheck(suite: Suite, results: Rows, *, sample: int, seed: int, **words: Any) -> Recheck:
     """Compute a random sample of the fresh rows of a suite again; compare status, verdict, pose and predicted errors.
 
     Rows of this processor have to agree to 1e-6 deg and m, those of others to 0.02 deg and 5 mm. No outcome is taken
-    from a store.
+    from a store. The other words are those of `open_session`.
     """
     rows = list(results.each(suite.name))
     known = _Known(rows)
     states: Counter[State] = Counter()
-    fresh: list[tuple[Cell, Row]] = []
+    fresh: dict[int, Row] = {}
     missing = []
-    with open_session(suite.study.study, plugins, workers, None, None, on_progress, on_warning) as session:
-        for cell in session.cells():
+    with open_session(suite, **words) as session:
+        cells = session.cells()
+        for position, cell in enumerate(cells):
             state, row = known.state(cell)
             states[state] += 1
             if state is State.MISSING and cell.group.readable:
-                missing.append(_name(cell.planned))
+                missing.append(_name(cell.row))
             if row is not None and state is State.FRESH:
-                fresh.append((cell, row))
-        chosen = [fresh[i] for i in sorted(np.random.default_rng(seed).permutation(len(fresh))[:sample])]
-        before = {cell.planned.key: row for cell, row in chosen}
+                fresh[position] = row
+        places = list(fresh)
+        chosen = [places[i] for i in sorted(np.random.default_rng(seed).permutation(len(fresh))[:sample])]
+        before = {cells[position].row.key: fresh[position] for position in chosen}
         different: list[str] = []
-        say = on_progress or (lambda progress: None)
-        for done, row in enumerate(calibrated((cell for cell, _ in chosen), session), start=1):
+        for done, row in enumerate(session.calibrated(cells, chosen), start=1):
             if difference := _difference(before[row.key], row):
                 different.append(f"{_name(row)}: {difference}")
-            say(Progress("calibrate", done, len(chosen), failed=len(different), name=_name(row)))
+            session.say(Progress("calibrate", done, len(chosen), failed=len(different), name=_name(row)))
     stale = sum(count for state, count in states.items() if state not in (State.FRESH, State.MISSING))
     external = sum(row.method.external for row in rows)
     doubled = tuple(_doubled(rows, known))

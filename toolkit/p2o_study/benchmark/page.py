@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from p2o.draw.image_uri import jpeg_uri
 from p2o.errors import P2OError
 from p2o.files.whole_file import write_whole
 from p2o.host.registry import Registry
@@ -18,19 +19,19 @@ from p2o.host.slots import KIND_OF
 from p2o.page import page as html
 from p2o.page.page import Block, Column, brief, cell
 from p2o.page.plot import plot_of_table, table_panel
-from p2o.results.verdict import Trust
 from p2o.run.fit import FRAME_CONTENT
 from p2o.run.recipe import Recipe
+from p2o.run.words import split_data
 
-from p2o_study.benchmark.overlays import Overlays
-from p2o_study.benchmark.suite import SuiteFile
+from p2o_study.benchmark.suite import Suite
 from p2o_study.benchmark.tables import NOTE
 from p2o_study.compare import family_of
+from p2o_study.report.overlays import drawn_run
 from p2o_study.row import NORMS, Method, Row
 from p2o_study.rows import Rows
-from p2o_study.statistics import BOUNDS, WRONG, WRONG_TEXT, Interval, Statistics, brief_seconds, top_groups
+from p2o_study.statistics import WRONG, Statistic, Statistics, top_groups
 from p2o_study.study import DatasetTable
-from p2o_study.tables import name_of, unit_of
+from p2o_study.tables import FIGURES, RUN_COLUMNS, error_cell, name_of, unit_of, with_unit
 
 INDEX = "index.html"
 MAX_BYTES = 4_000_000
@@ -42,8 +43,7 @@ NO_NEEDS = "nothing beyond image and sweep"
 GROUPS_NOTE = (
     "Groups are top groups: methods whose 95 % intervals overlap, also through a third one, are in one group, which "
     "has no order. Only methods on the same frames, from the same initial error and with the same number of frames "
-    f"are compared. A false accept is a trusted result {WRONG_TEXT}. Coverage is the share of rotation errors, below "
-    "it that of translation errors, within the predicted ones; 67 % and 95 % are expected."
+    "are compared. Of the errors, 67 % and 95 % are expected within the predicted ones."
 )
 Card = Mapping[str, str]
 """A data card: texts by their heading, such as "sensor" and "licence"."""
@@ -61,24 +61,18 @@ def line_columns() -> list[Column]:
         name, (unit, _, digits) = name_of(norm), unit_of(norm)
         columns += [
             Column(f"{name} group", hide=2, looks={"1": "good"}, of=partial(_top_group, norm=norm)),
-            Column(f"{name} mean", unit, digits, hide=0, of=partial(_mean, norm=norm)),
-            Column(f"{name} median", unit, digits, hide=3, of=partial(_median, norm=norm)),
+            Column(f"{name} mean", unit, digits, hide=0, of=partial(_error, norm=norm, statistic="mean")),
+            Column(f"{name} median", unit, digits, hide=3, of=partial(_error, norm=norm, statistic="median")),
         ]
+    figures = {figure.name: figure.column for figure in FIGURES}
+    renamed = {"runs": "n", "frames": "distinct frames", "groups": "independent groups"}
     return [
         *columns,
-        Column("n", hide=4, of=lambda one: one.summary.count),
-        Column("distinct frames", hide=6, of=lambda one: one.summary.frames),
-        Column("independent groups", hide=6, of=lambda one: one.summary.groups),
-        Column("refused", hide=2, of=lambda one: one.summary.refused),
-        Column("trusted", hide=3, of=lambda one: one.summary.trusted if one.summary.judged else None),
-        Column("false accepts", hide=2, of=lambda one: one.summary.false_accepts if one.summary.judged else None),
-        Column("outside 95 %", hide=3, of=lambda one: one.summary.outside_95 if one.summary.judged else None),
-        Column("not moved", hide=5, of=lambda one: one.summary.unmoved),
-        Column("coverage 67 %", hide=5, of=partial(_covered, names=BOUNDS[:2])),
-        Column("coverage 95 %", hide=4, of=partial(_covered, names=BOUNDS[2:])),
-        Column(
-            "time", "s", hide=3, of=lambda one: cell(brief(one.summary.seconds), brief_seconds(one.summary.seconds))
+        *(
+            replace(figures[name], name=renamed.get(name, name), of=partial(_of_summary, figures[name]))
+            for name in _FIGURES
         ),
+        Column("time", "s", hide=3, of=partial(_of_summary, figures["time [s]"])),
         Column("suite", off=True, of=lambda one: one.suite.name),
         Column("data set", off=True, of=lambda one: one.data_title),
         Column("initial error", off=True, of=lambda one: one.protocol),
@@ -89,24 +83,27 @@ def line_columns() -> list[Column]:
         Column("source", off=True, of=lambda one: one.method.source or None),
         *(Column(f"{name_of(n)} of solved [{unit_of(n)[0]}]", off=True, of=partial(_solved, norm=n)) for n in NORMS),
         Column("name", off=True, of=lambda one: one.name),
-        Column("compared", off=True, of=lambda one: cell(one.heading, one.heading, one.suite.suite.question)),
+        Column("compared", off=True, of=lambda one: cell(one.heading, one.heading, one.suite.question)),
         *(Column(_STARTS[n], n.rpartition("_")[2], off=True, of=partial(_start, norm=n)) for n in NORMS),
     ]
+
+
+_FIGURES = (
+    *("runs", "frames", "groups", "not solved", "trusted", "false accepts", "outside 95 %", "not moved"),
+    *("coverage 67 %", "coverage 95 %"),
+)
+
+
+def _of_summary(column: Column, line: _Line) -> Any:
+    return None if column.of is None else column.of(line.summary)
 
 
 def _top_group(line: _Line, norm: str) -> int | None:
     return line.top_group.get(norm)
 
 
-def _mean(line: _Line, norm: str) -> Any:
-    mean = line.summary.mean(norm)
-    ends = [] if mean is None else [mean.value, mean.low, mean.high]
-    return html.interval([None if end is None else unit_of(norm)[1] * end for end in ends]) if ends else None
-
-
-def _median(line: _Line, norm: str) -> float | None:
-    median = line.summary.median(norm)
-    return None if median is None else brief(unit_of(norm)[1] * median.value)
+def _error(line: _Line, norm: str, statistic: Statistic) -> Any:
+    return error_cell(line.summary, norm, statistic)
 
 
 def _solved(line: _Line, norm: str) -> Any:
@@ -114,54 +111,53 @@ def _solved(line: _Line, norm: str) -> Any:
     return None if mean is None else cell(brief(factor * mean.value), html.number_text(factor * mean.value, digits))
 
 
-def _covered(line: _Line, names: Sequence[str]) -> Any:
-    coverage = line.summary.coverage
-    shares = [coverage.within[name] / coverage.count for name in names] if coverage.count else []
-    return cell(brief(shares[0]), *(f"{100 * share:.0f} %" for share in shares)) if shares else None
-
-
 def _start(line: _Line, norm: str) -> float | None:
     values = [value for row in line.rows if (value := row.start_error_of(norm)) is not None]
     return brief(float(np.mean(values))) if values else None
 
 
-RUN_COLUMNS = html.columns_of(
-    [
-        Column("frames", text=True, hide=0),
-        Column("seed", hide=4),
-        *(Column(name_of(norm), *unit_of(norm)[::2], hide=0) for norm in NORMS),
-        Column("status", text=True, hide=3),
-        Column("verdict", text=True, order=list(Trust), looks=html.TRUST_LOOKS),
-        *(
-            Column(f"{name_of(norm)} {what}", *unit_of(norm)[::2], hide=hide)
-            for what, hide in (("initial", 4), ("67 %", 3), ("95 %", 5))
-            for norm in NORMS
-        ),
-        Column("time", "s", 2, hide=4),
-        Column("names of frames", off=True),
-    ]
-)
-"""The columns of runs, in the order of `run_rows`."""
+# ---- overlays
+
+SYNTHETIC = "synthetic"
+"""The dataset whose images may be published without a licence."""
+MAX_RUNS = 400
 
 
-def run_rows(rows: Sequence[Row]) -> list[list[Any]]:
-    """Return the cells of runs."""
-    shown = []
-    for row in rows:
-        errors = [_size(row.error_of(norm), norm) for norm in NORMS]
-        others = [_size(row.start_error_of(norm), norm) for norm in NORMS]
-        others += [_size(row.predicted(name), name.removesuffix("_95")) for name in BOUNDS]
-        words = [row.status.value, row.trust]
-        frames = ", ".join(row.frames) if len(row.frames) > 1 else None
-        seconds = None if row.total_s is None else brief(row.total_s)
-        shown.append([row.place, row.seed, *errors, *words, *others, seconds, frames])
-    return shown
+@dataclass
+class Overlays:
+    """Draws overlays and counts them: `drawn`, and `left_out`, whose methods or frames are not those of the rows."""
 
+    registry: Registry
+    drawn: int = 0
+    left_out: int = 0
 
-def _size(value: float | None, metric: str) -> Any:
-    if value is None:
-        return None
-    return cell(None, "unobservable") if value == np.inf else brief(unit_of(metric)[1] * value)
+    def of(self, suite: Suite, rows: Sequence[Row]) -> list[dict[str, str]]:
+        """Return the overlays of rows in descending order of their errors: those of the first and the median one.
+
+        They have name, frame, and images before and after as data URIs. None is drawn for other data than synthetic
+        ones, external methods, crashed rows, and more than `MAX_RUNS` runs.
+        """
+        tables = {table.name: table for table in suite.dataset}
+        table = tables.get(rows[0].dataset)
+        if table is None or split_data(table.data)[0] != SYNTHETIC:
+            return []
+        shown = []
+        for place, name in {len(rows) // 2: "median error", 0: "largest error"}.items():
+            if self.drawn + self.left_out >= MAX_RUNS:
+                break
+            row = rows[place]
+            named = replace(row, case=replace(row.case, data=SYNTHETIC, options=table.options))
+            try:
+                if row.method.external or row.crashed:
+                    raise P2OError("no features of the row can be drawn")
+                frame, before, after = drawn_run(named, table.data, self.registry)
+            except P2OError:
+                self.left_out += 1
+                continue
+            self.drawn += 1
+            frame_text = f"{frame.name}, seed {row.seed}"
+            shown.append({"name": name, "frame": frame_text, "before": jpeg_uri(before), "after": jpeg_uri(after)})
+        return shown[::-1]
 
 
 # ---- the page
@@ -185,7 +181,7 @@ class _Line:
     dataset with its sensors.
     """
 
-    suite: SuiteFile
+    suite: Suite
     summary: Statistics
     name: str = ""
     family: str = ""
@@ -250,7 +246,7 @@ class _Line:
 
 
 def write_page(
-    suites: Sequence[SuiteFile],
+    suites: Sequence[Suite],
     results: Rows,
     folder: Path,
     registry: Registry,
@@ -267,7 +263,8 @@ def write_page(
     cannot be written.
     """
     html.prepare_data(folder)
-    names, shared, columns = _Names(registry), html.Shared(), line_columns()
+    shared, columns = html.Shared(), line_columns()
+    known_methods: dict[str, tuple[str, list[str]]] = {}
     shown: list[_Line] = []
     rows: list[list[Any]] = []
     opens = []
@@ -275,7 +272,7 @@ def write_page(
     size = left_out = 0
     for suite in suites:
         on_suite(suite.name)
-        own = {table.name: cards(table) for table in suite.study.study.dataset}
+        own = {table.name: cards(table) for table in suite.dataset}
         for lines in _compared(suite, results):
             chosen = lines[: MAX_ROWS - len(rows)] if size < MAX_BYTES else []
             groups = {norm: top_groups([line.summary.mean(norm) for line in chosen]) for norm in NORMS}
@@ -283,7 +280,10 @@ def write_page(
                 known = own.get(line.dataset, {})
                 sensors = ", ".join(sorted({card["sensor"] for card in known.values() if card.get("sensor")}))
                 line.data_title = f"{line.dataset} ({sensors})" if sensors else line.dataset
-                line.family, line.needs = names.of(line.method)
+                key = line.same_method
+                if key not in known_methods:
+                    known_methods[key] = _family_and_needs(line.method, registry)
+                line.family, line.needs = known_methods[key]
                 line.top_group = {norm: groups[norm][number] for norm in NORMS}
                 cells = html.cells(columns, line)
                 size += len(json.dumps(cells))
@@ -300,13 +300,6 @@ def write_page(
             left_out += len(lines)
     families = {suite.name: {line.family for line in shown if line.suite is suite} for suite in suites}
     first = max(families, key=lambda name: len(families[name]), default="")
-    blocks = [
-        html.text("Errors of camera-LiDAR calibration, computed from poses. Select a row to see its runs.", "quiet")
-    ]
-    if left_out:
-        text = f"The page has the first {len(rows)} rows; {left_out} further ones are left out."
-        blocks.append(html.text(f"{text} p2o benchmark table has all.", "quiet"))
-    blocks += [_families([line for line in shown if line.suite.name == first])] if shown else []
     filters = ["data set", "initial error", "frames", "family", "needs"]
     table = html.table(
         [replace(column, of=None) for column in columns],
@@ -318,17 +311,30 @@ def write_page(
         opens=opens,
         counted=" rows",
     )
+    left = f"The page has the first {len(rows)} rows; {left_out} further ones are left out." if left_out else ""
+    data = [_card(shared, title, card) for title, card in described.items()]
+    blocks = _blocks([line for line in shown if line.suite.name == first], table, data, left)
+    page = html.page("p2o benchmark", blocks, shared=shared, script_files=True)
+    write_whole(folder / INDEX, page.encode())
+    return Written(folder / INDEX, len(rows), left_out, sum(len(line.rows) for line in shown))
+
+
+def _blocks(first: Sequence[_Line], table: Block, data: Sequence[Block], left: str) -> list[Block]:
+    """Return the page: the families of the `first` suite, the rows of all, plots, data cards and notes."""
+    head = "Errors of camera-LiDAR calibration, computed from poses. Select a row to see its runs."
     note = (
         "Of the rows above. Select a point to open its row, a name to hide it; drag to enlarge. Axes are logarithmic."
     )
     plots = html.choice("of", {name_of(norm): [_plots(norm)] for norm in NORMS})
-    blocks += [html.section("Rows", table), html.section("Errors", plots, html.text(note, "quiet"))]
-    if described:
-        blocks.append(html.section("Data", *(_card(shared, title, card) for title, card in described.items())))
-    blocks.append(html.section("How to read it", *(html.text(note, "quiet") for note in (GROUPS_NOTE, NOTE))))
-    page = html.page("p2o benchmark", blocks, shared=shared, script_files=True)
-    write_whole(folder / INDEX, page.encode())
-    return Written(folder / INDEX, len(rows), left_out, sum(len(line.rows) for line in shown))
+    return [
+        html.text(head, "quiet"),
+        *([html.text(f"{left} p2o benchmark table has all.", "quiet")] if left else []),
+        *([_families(first)] if first else []),
+        html.section("Rows", table),
+        html.section("Errors", plots, html.text(note, "quiet")),
+        *([html.section("Data", *data)] if data else []),
+        html.section("How to read it", *(html.text(text, "quiet") for text in (GROUPS_NOTE, NOTE))),
+    ]
 
 
 def _card(shared: html.Shared, title: str, card: Card) -> Block:
@@ -344,8 +350,8 @@ def _runs(line: _Line, overlays: Overlays | None, shared: html.Shared) -> list[B
     drawn = [] if overlays is None else overlays.of(line.suite, rows)
     slides = [html.slides(f"run with the {one['name']}: {one['frame']}", one["before"], one["after"]) for one in drawn]
     table = html.table(
-        shared.use(RUN_COLUMNS),
-        run_rows(rows),
+        shared.use(html.columns_of(RUN_COLUMNS)),
+        [html.cells(RUN_COLUMNS, row) for row in rows],
         name="runs",
         search=True,
         counted=" runs, those with the largest errors first",
@@ -367,46 +373,35 @@ def _families(lines: Sequence[_Line]) -> Block:
     opens = [html.rows_of("rows", suite=lines[0].suite.name, family=family, find=name) for family, name in keys]
     guide = "Mean rotation error, below it that of the translation. Select a method to see its rows."
     table = html.table(columns, keys, name="families", group="family", opens=opens)
-    question = html.text(lines[0].suite.suite.question)
+    question = html.text(lines[0].suite.question)
     return html.section("Methods by family", question, table, html.text(guide, "quiet"))
 
 
 def _both_means(by_method: Mapping[Any, Mapping[str, _Line]], heading: str, key: tuple[str, str]) -> Any:
     line = by_method[key].get(heading)
     means = {} if line is None else {norm: mean for norm in NORMS if (mean := line.summary.mean(norm)) is not None}
-    texts = [f"{factor * mean.value:.{digits}f} {unit}" for unit, factor, digits, mean in _in_units(means)]
+    texts = [with_unit(mean.value, norm) for norm, mean in means.items()]
     return cell(brief(means[NORMS[0]].value), *texts) if texts else None
-
-
-def _in_units(means: Mapping[str, Interval]) -> list[tuple[str, float, int, Interval]]:
-    return [(*unit_of(norm), mean) for norm, mean in means.items()]
 
 
 def _plots(norm: str) -> Block:
     """Return the plots of the mean error of a norm over what it depends on."""
-    y, title = f"{name_of(norm)} mean", f"{name_of(norm)} error [{unit_of(norm)[0]}]"
-    start = (f"mean initial {name_of(norm)} error [{norm.rpartition('_')[2]}]", title)
+    title = f"{name_of(norm)} error [{unit_of(norm)[0]}]"
+    initial = f"mean initial {name_of(norm)} error [{norm.rpartition('_')[2]}]"
     same, below = ("suite", "data set", "name"), "Below the dashed line the error became smaller."
     note = "Lines connect rows of one method on one data set from one initial error."
-    return plot_of_table(
-        "rows",
-        [
-            table_panel("over time", "time", y, "name", ("median time of a calibration [s]", title)),
-            table_panel(
-                "over number of frames",
-                "frames",
-                y,
-                "name",
-                ("frames", title),
-                join=(*same, "initial error"),
-                note=note,
-            ),
-            table_panel(
-                "over initial error", _STARTS[norm], y, "name", start, join=(*same, "frames"), diagonal=True, note=below
-            ),
-            table_panel("over data set", "data set", y, "name", ("", title), categories=True),
-        ],
-    )
+    figures: dict[tuple[str, str], dict[str, Any]] = {
+        ("time", "median time of a calibration [s]"): {},
+        ("frames", "frames"): {"join": (*same, "initial error"), "note": note},
+        (_STARTS[norm], initial): {"join": (*same, "frames"), "diagonal": True, "note": below},
+        ("data set", ""): {"categories": True},
+    }
+    names = ("over time", "over number of frames", "over initial error", "over data set")
+    panels = [
+        table_panel(name, column, f"{name_of(norm)} mean", "name", (axis, title), **words)
+        for name, ((column, axis), words) in zip(names, figures.items(), strict=True)
+    ]
+    return plot_of_table("rows", panels)
 
 
 def _error_size(row: Row) -> float:
@@ -415,13 +410,13 @@ def _error_size(row: Row) -> float:
     return np.inf if error is None else error.rotation_deg / WRONG.angle_deg + error.translation_m / WRONG.distance_m
 
 
-def _compared(suite: SuiteFile, results: Rows) -> list[list[_Line]]:
+def _compared(suite: Suite, results: Rows) -> list[list[_Line]]:
     """Return the rows of a suite, one list for all that are compared with each other."""
-    order = {row.label: number for number, row in enumerate(suite.rows)}
+    order = {row.label: number for number, row in enumerate(suite.all_rows())}
     rows: dict[tuple[str, str, str, str], list[Row]] = {}
     for row in results.latest(suite.name):
         rows.setdefault((row.section, row.row, row.dataset, row.protocol), []).append(row)
-    group_of = suite.suite.group_of
+    group_of = suite.group_of
     lines = [_Line(suite, Statistics(own, label, group_of)) for (_, label, _, _), own in rows.items()]
     labels: dict[str, list[str]] = {}
     for line in lines:
@@ -432,29 +427,16 @@ def _compared(suite: SuiteFile, results: Rows) -> list[list[_Line]]:
     return [list(some) for _, some in groupby(lines, key=lambda line: line.comparable)]
 
 
-class _Names:
-    """What the registry states of methods, by the words of a row."""
-
-    def __init__(self, registry: Registry) -> None:
-        self._registry = registry
-        self._known: dict[str, tuple[str, list[str]]] = {}
-
-    def of(self, method: Method) -> tuple[str, list[str]]:
-        """Return the family of a method, and the optional content of frames that it needs."""
-        if method.external:
-            return EXTERNAL, []
-        key = json.dumps(method.words, sort_keys=True)
-        if key not in self._known:
-            self._known[key] = self._resolved(method.words)
-        return self._known[key]
-
-    def _resolved(self, words: Mapping[str, str]) -> tuple[str, list[str]]:
-        try:
-            plan = Recipe.of(**words).resolve(self._registry)
-        except P2OError:
-            return UNKNOWN, []
-        needs = {word for stage, its in plan.parts.items() if stage in KIND_OF for word in its.offer.method.needs}
-        return family_of(plan), sorted(needs & FRAME_CONTENT.keys())
+def _family_and_needs(method: Method, registry: Registry) -> tuple[str, list[str]]:
+    """Return the family of a method, and the optional content of frames that it needs."""
+    if method.external:
+        return EXTERNAL, []
+    try:
+        plan = Recipe.of(**method.words).resolve(registry)
+    except P2OError:
+        return UNKNOWN, []
+    needs = {word for stage, part in plan.parts.items() if stage in KIND_OF for word in part.offer.method.needs}
+    return family_of(plan), sorted(needs & FRAME_CONTENT.keys())
 
 
 def common_name(labels: Sequence[str]) -> str:

@@ -6,11 +6,10 @@ output of their command, in RESULTS/records/NAME.json, so that no figure of a pa
 
 from __future__ import annotations
 
-import re
 import shlex
 import subprocess
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from itertools import groupby
 from pathlib import Path
@@ -23,18 +22,13 @@ from p2o.files.whole_file import write_whole
 from p2o.options import validated
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
+from p2o_study.benchmark.marks import Writer
 from p2o_study.benchmark.measure import source_version
 from p2o_study.machine import machine_info
 from p2o_study.study import Line, Slug
 
 FOLDER = "records"
 MAX_CHARACTERS = 20_000
-_PART = re.compile(
-    r"^(?P<head><!-- record: (?P<name>[a-z0-9._-]+)(?:; tables: (?P<tables>[1-9](?:, [1-9])*))? -->\n)"
-    r"(?:(?!^<!-- record:).)*?(?P<tail>^<!-- /record -->$)",
-    re.DOTALL | re.MULTILINE,
-)
-MARK = re.compile(r"^<!-- record:", re.MULTILINE)
 
 
 class Record(BaseModel):
@@ -127,18 +121,12 @@ def read_record(results: Path, name: str) -> Record:
     return validated(Record, values, where=path)
 
 
-def with_records(text: str, where: str, results: Path) -> str:
-    """Return a page with the parts between `<!-- record: NAME -->` and `<!-- /record -->` replaced.
+def record_text(results: Path) -> Writer:
+    """Return the writer of marked parts with records; the choice `tables` selects tables of the output."""
 
-    `<!-- record: NAME; tables: 1, 3 -->` selects tables of the output. Raises InputError for a mark that is not closed
-    and a table that is missing, and as `read_record`.
-    """
-    if len(MARK.findall(text)) != len(_PART.findall(text)):
-        expected = "<!-- record: NAME --> on its own line, and <!-- /record --> after it"
-        raise InputError("a marked part is not valid", where=where, expected=expected)
+    def text(name: str, choices: Mapping[str, str]) -> str:
+        if choices.keys() - {"tables"}:
+            raise KeyError(*choices)
+        return read_record(results, name).markdown([int(n) for n in choices.get("tables", "").split(", ") if n])
 
-    def shown(part: re.Match[str]) -> str:
-        numbers = [int(number) for number in (part["tables"] or "").split(", ") if number]
-        return f"{part['head']}{read_record(results, part['name']).markdown(numbers)}{part['tail']}"
-
-    return _PART.sub(shown, text)
+    return text

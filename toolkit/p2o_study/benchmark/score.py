@@ -27,7 +27,6 @@ KEY = ("group", "protocol", "seed")
 """Columns that identify a calibration of a suite."""
 MATRIX = tuple(f"m{row}{column}" for row in range(4) for column in range(4))
 QUATERNION = ("qx", "qy", "qz", "qw", "tx", "ty", "tz")
-_MAX_ROWS = 1_000_000
 _SHOWN = 3
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d{1,3})?", re.ASCII)
 _ROUNDING = 1e-3
@@ -53,7 +52,7 @@ def starts_of(cells: Iterable[Cell]) -> dict[Key, Start]:
     starts: dict[Key, Start] = {}
     first: dict[Key, str] = {}
     for cell in cells:
-        planned, case = cell.planned, cell.planned.case
+        planned, case = cell.row, cell.row.case
         if cell.group.rig or case.start is None or not cell.group.readable:
             continue
         key = f"{case.dataset}: {case.place}", case.protocol, case.seed
@@ -135,26 +134,21 @@ def score(
 
 def _records(path: Path) -> Iterable[tuple[int, dict[str, str]]]:
     """Yield line number and values by column; raises InputError for a wrong header or number of columns."""
-    reader = csv.reader(io.StringIO(read_text(path, "file of poses").lstrip("\ufeff"), newline=""), strict=True)
+    text = read_text(path, "file of poses").lstrip("\ufeff")
+    reader = csv.DictReader(io.StringIO(text, newline=""), strict=True)
     expected = f"columns {', '.join(KEY)}, and {MATRIX[0]} to {MATRIX[-1]} or {', '.join(QUATERNION)}"
     try:
-        header = [column.strip() for column in next(reader, [])]
-        if len(set(header)) < len(header):
-            raise InputError("a column is named twice", where=f"{path}:1", expected=expected, got=", ".join(header))
+        reader.fieldnames = header = [column.strip() for column in reader.fieldnames or ()]
         columns = set(header)
-        if not columns.issuperset(KEY) or columns.issuperset(MATRIX) == columns.issuperset(QUATERNION):
-            raise InputError(
-                "the columns are not those of poses", where=f"{path}:1", expected=expected, got=", ".join(header)
-            )
+        complete = columns.issuperset(KEY) and columns.issuperset(MATRIX) != columns.issuperset(QUATERNION)
+        if len(columns) < len(header) or not complete:
+            got = ", ".join(header)
+            raise InputError("the columns are not those of poses", where=f"{path}:1", expected=expected, got=got)
         for values in reader:
-            if not values:
-                continue
-            where = f"{path}:{reader.line_num}"
-            if reader.line_num > _MAX_ROWS:
-                raise InputError("too many lines", where=where, expected=f"at most {_MAX_ROWS}")
-            if len(values) != len(header):
-                raise InputError("wrong number of columns", where=where, expected=len(header), got=len(values))
-            yield reader.line_num, dict(zip(header, values, strict=True))
+            # None is the name of surplus values, and the value of missing ones.
+            if None in values or None in values.values():
+                raise InputError("wrong number of columns", where=f"{path}:{reader.line_num}", expected=len(header))
+            yield reader.line_num, values
     except csv.Error as problem:
         raise InputError("the file of poses is not CSV", where=f"{path}:{reader.line_num}", got=problem) from problem
 

@@ -6,7 +6,6 @@ A suite takes datasets, defaults and variants of its study; rows and products of
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,22 +16,9 @@ from p2o.host.registry import Registry
 from p2o.host.shipped import shipped_files
 from p2o.options import validated
 from p2o.run.protocol import PROTOCOLS
-from pydantic import BaseModel, ConfigDict
 
 from p2o_study.statistics import GroupOf, by_drive, by_frames
-from p2o_study.study import (
-    DatasetTable,
-    Line,
-    Product,
-    RowTable,
-    Seeds,
-    Slug,
-    Study,
-    StudyFile,
-    StudyRow,
-    Variant,
-    find_study,
-)
+from p2o_study.study import DatasetTable, Label, Line, Seeds, Study, StudyRow, find_study
 
 FOLDER = "suites"
 """Folder of suites in a package: PACKAGE/suites/NAME.toml."""
@@ -44,8 +30,8 @@ _INIT_WITH_PRIOR = "search"
 """The initializer that uses the initial guess as a prior; rows of others are without prior."""
 
 
-class Suite(BaseModel):
-    """The content of a suite file.
+class Suite(Study):
+    """The content of a suite file, completed by its study; `file` is its path.
 
     `study` is the name of a study, or a path relative to the suite file. `protocol` replaces that of the study: the
     name of a publication's protocol, or a size such as "2deg 0.15m". `groups` are the units of the bootstrap:
@@ -54,63 +40,36 @@ class Suite(BaseModel):
     `share` allows rows that another suite has measured: not for a suite of seconds.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    name: Slug
     question: Line
     study: Line
-    protocol: Line = ""
     groups: Literal["frames", "drive"] = "frames"
     splits: Line = ""
     share: bool = True
-    seeds: Seeds = MIN_SEEDS
+    title: Label = "suite"
     dataset: tuple[DatasetTable, ...] = ()
-    variant: tuple[Variant, ...] = ()
-    product: tuple[Product, ...] = ()
-    row: tuple[RowTable, ...] = ()
+    seeds: Seeds = MIN_SEEDS
+    file: Path = Path()
 
     @property
     def group_of(self) -> GroupOf:
         """The function that names the independent group of a row."""
         return by_drive if self.groups == "drive" else by_frames
 
-    def applied_to(self, study: Study) -> Study:
-        """Return the study with the tables of the suite."""
-        changes: dict[str, Any] = {"name": self.name, "title": self.name, "note": self.question}
-        changes |= {"seeds": self.seeds, "published": (), "variant": (*study.variant, *self.variant)}
-        if self.dataset:
-            changes["dataset"] = self.dataset
-        if self.row or self.product:
-            changes |= {"row": self.row, "product": self.product}
+    def over(self, study: Study) -> Suite:
+        """Return the suite with everything of its study that it does not replace."""
+        own = {*self.model_fields_set, "seeds", "published"}
+        own |= {"row", "product"} if own & {"row", "product"} else set()
+        changes: dict[str, Any] = {name: getattr(study, name) for name in Study.model_fields if name not in own}
+        changes |= {"title": self.name, "note": self.question, "variant": (*study.variant, *self.variant)}
         if self.protocol:
             named = self.protocol in PROTOCOLS
             changes |= {"protocol": self.protocol if named else None, "perturb": None if named else self.protocol}
-        return study.model_copy(update=changes)
+        return self.model_copy(update=changes)
 
-
-@dataclass(frozen=True)
-class SuiteFile:
-    """A suite with its study; `source` is the path of the suite file."""
-
-    suite: Suite
-    study: StudyFile
-    source: Path
-
-    @property
-    def name(self) -> str:
-        """The name of the suite."""
-        return self.suite.name
-
-    @property
-    def rows(self) -> list[StudyRow]:
-        """The rows of the study on all datasets, also on those without a path."""
-        tables = tuple(table.model_copy(update={"optional": False}) for table in self.study.study.dataset)
-        return self.study.study.model_copy(update={"dataset": tables}).rows()
-
-    def on(self, data: Sequence[str] = (), root: str | None = None) -> SuiteFile:
-        """Return the suite with the paths of datasets, as in `Study.overridden`."""
-        study = self.study.study.overridden(data=data, root=root)
-        return SuiteFile(self.suite, StudyFile(study, self.study.text, self.study.source), self.source)
+    def all_rows(self) -> list[StudyRow]:
+        """Return the rows on all datasets, also on those without a path."""
+        tables = tuple(table.model_copy(update={"optional": False}) for table in self.dataset)
+        return self.model_copy(update={"dataset": tables}).rows()
 
 
 def suites(registry: Registry, folder: str | Path | None = None) -> dict[str, Path]:
@@ -122,7 +81,7 @@ def suites(registry: Registry, folder: str | Path | None = None) -> dict[str, Pa
     return {path.stem: path for path in sorted(shipped) if path.suffix == ".toml"}
 
 
-def find_suite(word: str, registry: Registry, folder: str | Path | None = None) -> SuiteFile:
+def find_suite(word: str, registry: Registry, folder: str | Path | None = None) -> Suite:
     """Return the suite of a path, or of a name in `suites`.
 
     Raises UnknownNameError for an unknown name or key, InputError for a file that cannot be read, is not valid, or
@@ -136,14 +95,12 @@ def find_suite(word: str, registry: Registry, folder: str | Path | None = None) 
         path = known[word]
     suite = validated(Suite, parse_toml(read_text(path, "suite"), "suite", path), where=path)
     named = path.parent / suite.study if suite.study.endswith(".toml") else suite.study
-    base = find_study(str(named), registry)
-    study = suite.applied_to(base.study).with_methods(registry)
+    suite = suite.over(find_study(str(named), registry)).with_methods(registry).model_copy(update={"file": path})
     if suite.splits:
         spec = f"@{path.parent / suite.splits}"
-        study = study.overridden(frames=[f"{table.name}={spec}" for table in study.dataset if table.split])
-    file = SuiteFile(suite, StudyFile(study, base.text, base.source), path)
-    check_rows(file.rows, str(path))
-    return file
+        suite = suite.overridden(frames=[f"{table.name}={spec}" for table in suite.dataset if table.split])
+    check_rows(suite.all_rows(), str(path))
+    return suite
 
 
 def check_rows(rows: Sequence[StudyRow], where: str) -> None:

@@ -1,31 +1,22 @@
-"""Tables of a suite in Markdown, rendered from its rows, and the marked parts of pages that they replace."""
+"""Tables of a suite in Markdown, rendered from its rows."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from p2o.errors import InputError, UnknownNameError
-from p2o.files.input_file import read_text
+from p2o.errors import UnknownNameError
 
-from p2o_study.benchmark.suite import SuiteFile
+from p2o_study.benchmark.marks import Writer
+from p2o_study.benchmark.suite import Suite
 from p2o_study.row import GIVEN, Row
 from p2o_study.rows import Rows
 from p2o_study.statistics import MIN_FRAMES, WRONG_TEXT, Statistics
-from p2o_study.tables import columns_of, error_table, markdown_table, md_text
+from p2o_study.tables import error_table, figures_of, markdown_table, md_text
 
 _WORDS = {"data": None, "methods": None, "columns": ("all", "brief"), "sections": ("apart", "together")}
 """Words of a mark and their values, None for names of the suite."""
-_PART = re.compile(
-    r"^(?P<head><!-- rows: (?P<suite>[a-z0-9._-]+)(?:, (?P<section>[^>;\n]+?))?(?P<filters>(?:; [^>;\n]+?)*) -->\n)"
-    r"(?:(?!^<!-- rows:).)*?(?P<tail>^<!-- /rows -->$)",
-    re.DOTALL | re.MULTILINE,
-)
-_HEAD = re.compile(r"^<!-- rows:", re.MULTILINE)
-_MARK = re.compile(r"^<!-- (?:rows:|record:|cards -->)", re.MULTILINE)
 _BRIEF = {"coverage 67 %", "coverage 95 %", "predicted 67 %"}
 """Columns that brief tables leave out."""
 
@@ -50,7 +41,6 @@ class Choice:
     with `sections` "together".
     """
 
-    suite: str
     section: str | None = None
     data: tuple[str, ...] = ()
     methods: tuple[str, ...] = ()
@@ -70,14 +60,14 @@ class SuiteTables:
     last. `asked` are the rows of the suite. Labels are without "@ DATA SET".
     """
 
-    suite: SuiteFile
+    suite: Suite
     lines: Mapping[Key, Statistics]
     asked: Sequence[Key]
 
     @classmethod
-    def read(cls, suite: SuiteFile, results: Rows) -> SuiteTables:
+    def read(cls, suite: Suite, results: Rows) -> SuiteTables:
         """Return the tables of a suite; rows that it does not ask for are left out."""
-        asked = [_key(row.section, row.label, row.dataset.name) for row in suite.rows]
+        asked = [_key(row.section, row.label, row.dataset.name) for row in suite.all_rows()]
         rows: dict[Key, list[Row]] = {key: [] for key in asked}
         for row in results.latest(suite.name):
             key = _key(row.section, row.row, row.dataset)
@@ -85,14 +75,14 @@ class SuiteTables:
                 rows.setdefault(key, []).append(row)
         data = list(dict.fromkeys(key.dataset for key, own in rows.items() if own))
         keys = sorted((key for key, own in rows.items() if own), key=lambda key: data.index(key.dataset))
-        return cls(suite, {key: Statistics(rows[key], key.label, suite.suite.group_of) for key in keys}, asked)
+        return cls(suite, {key: Statistics(rows[key], key.label, suite.group_of) for key in keys}, asked)
 
     def markdown(self, choice: Choice) -> str:
         """Return the tables in Markdown, one for each section; raises InputError for a name that the suite lacks."""
         self._check(choice)
         keys = [key for key in dict.fromkeys((*self.asked, *self.lines)) if choice.has(key)]
         if choice.sections == "together":
-            return self._table(self.suite.suite.name, keys, choice)
+            return self._table(self.suite.name, keys, choice)
         sections = dict.fromkeys(key.section for key in keys if choice.section in (None, key.section))
         return "\n".join(self._table(name, [key for key in keys if key.section == name], choice) for name in sections)
 
@@ -112,12 +102,12 @@ class SuiteTables:
         keys = [*self.asked, *self.lines]
         asked = [
             *(("section", word, {key.section for key in keys}) for word in (choice.section,) if word is not None),
-            *(("data set", word, {table.name for table in self.suite.study.study.dataset}) for word in choice.data),
+            *(("data set", word, {table.name for table in self.suite.dataset}) for word in choice.data),
             *(("method", word, {key.label for key in keys}) for word in choice.methods),
         ]
         for kind, word, known in asked:
             if word not in known:
-                raise UnknownNameError(kind, word, sorted(known), where=self.suite.source)
+                raise UnknownNameError(kind, word, sorted(known), where=self.suite.file)
 
     def _table(self, caption: str, keys: Sequence[Key], choice: Choice) -> str:
         """Return the table of some rows with its caption."""
@@ -129,12 +119,12 @@ class SuiteTables:
         several = len({key.dataset for key in lines}) > 1
         if lines:
             left_out = {"within", "worse", "ambiguous", "doubtful", *(_BRIEF if choice.columns == "brief" else ())}
-            columns = columns_of(list(lines.values()), left_out | ({"start"} if len(drawn) < 2 else set()))
+            figures = figures_of(lines.values(), left_out | ({"start"} if len(drawn) < 2 else set()))
             rows = [
                 Statistics(row.rows, f"{key.label} @ {key.dataset}" if several else key.label, row.group_of)
                 for key, row in lines.items()
             ]
-            table = error_table(caption, rows, columns=columns, solved_only=choice.columns == "all", comparable=False)
+            table = error_table(caption, rows, figures=figures, solved_only=choice.columns == "all", comparable=False)
             text.append(markdown_table(table).rstrip("\n"))
         missing = sum(key in wanted and key not in lines for key in self.asked)
         if missing:
@@ -152,44 +142,18 @@ NOTE = (
 """How to read the tables."""
 
 
-def rendered(text: str, where: str, tables: Callable[[str], SuiteTables]) -> str:
-    """Return a page with its marked parts replaced; `tables` returns the tables of a suite.
+def rows_text(tables: Callable[[str], SuiteTables]) -> Writer:
+    """Return the writer of marked parts with rows; `tables` returns the tables of a suite."""
 
-    A table is between `<!-- rows: SUITE -->` and `<!-- /rows -->`. The mark may name a section and choose data sets and
-    methods: `<!-- rows: SUITE, SECTION; data: A, B; methods: X, Y; columns: brief -->`, and
-    `sections: together` makes one table of all. Raises InputError for a mark that is not valid or not closed.
-    """
-    starts = {part.start() for part in _PART.finditer(text)}
-    for head in _HEAD.finditer(text):
-        if head.start() not in starts:
-            raise InputError("a marked part is not valid", where=_place(text, where, head), expected=_EXPECTED)
+    def text(subject: str, choices: Mapping[str, str]) -> str:
+        suite, _, section = subject.partition(", ")
+        words: dict[str, Any] = {}
+        for name, value in choices.items():
+            known = _WORDS[name]
+            if known is not None and value not in known:
+                raise ValueError(value)
+            words[name] = tuple(value.split(", ")) if known is None else value
+        words["methods"] = tables(suite).labels_in(words.get("methods", ()))
+        return tables(suite).markdown(Choice(section or None, **words))
 
-    def table(part: re.Match[str]) -> str:
-        filters: dict[str, Any] = {}
-        for words in filter(None, part["filters"].split("; ")):
-            name, _, values = words.partition(": ")
-            known = _WORDS.get(name, ())
-            if not values or (known is not None and values not in known):
-                raise InputError("a marked part is not valid", where=_place(text, where, part), expected=_EXPECTED)
-            filters[name] = tuple(values.split(", ")) if known is None else values
-        filters["methods"] = tables(part["suite"]).labels_in(filters.get("methods", ()))
-        choice = Choice(part["suite"], part["section"], **filters)
-        return f"{part['head']}{tables(choice.suite).markdown(choice)}{part['tail']}"
-
-    return _PART.sub(table, text)
-
-
-_EXPECTED = (
-    "<!-- rows: SUITE, SECTION; data: A, B; methods: X, Y --> on its own line (all but SUITE optional) and "
-    "<!-- /rows --> after it"
-)
-
-
-def _place(text: str, where: str, part: re.Match[str]) -> str:
-    return f"{where}:{text.count(chr(10), 0, part.start()) + 1}"
-
-
-def pages_with_marks(paths: Sequence[Path]) -> dict[Path, str]:
-    """Return the text of the pages that have a marked part, of rows, records or cards."""
-    texts = {path: read_text(path, "page") for path in paths}
-    return {path: text for path, text in texts.items() if _MARK.search(text)}
+    return text

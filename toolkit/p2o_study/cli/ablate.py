@@ -5,18 +5,21 @@ from __future__ import annotations
 import contextlib
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from p2o.cli import INTERRUPTED
 from p2o.cli.plugin_options import plugin_options
-from p2o.cli.progress import LINE_INTERVAL_S, duration_text
+from p2o.cli.progress import LINE_INTERVAL_S, duration_text, status_line
 from p2o.errors import InputError, P2OError, printable
 
 if TYPE_CHECKING:
     from p2o_study.ablate import Ablation, Progress
     from p2o_study.gate import Reference
+    from p2o_study.row import Row
+    from p2o_study.rows import PlanRow
     from p2o_study.study import Study
 
 
@@ -28,16 +31,25 @@ jobs_option = click.option(
 )
 
 
+def cluster_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add --backend and --address to a command."""
+    text = "Scheduler of an existing dask or ray cluster."
+    command = click.option("--address", metavar="ADDRESS", help=text)(command)
+    kinds = click.Choice(["loky", "dask", "ray"])
+    return click.option("--backend", type=kinds, default="loky", help="Backend that runs the jobs.")(command)
+
+
+def data_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add --data and --root, the data of a study, to a command."""
+    text = "Folder with the data; the study names the path of each dataset in it."
+    command = click.option("--root", metavar="DIR", help=text)(command)
+    text = "Run on these data; NAME selects one of several datasets."
+    return click.option("--data", multiple=True, metavar="[NAME=]DATASET:PATH", help=text)(command)
+
+
 @click.command("ablate")
 @click.argument("study", required=False)
-@click.option(
-    "--data",
-    "data",
-    multiple=True,
-    metavar="[NAME=]DATASET:PATH",
-    help="Run on these data; NAME selects one of several datasets.",
-)
-@click.option("--root", metavar="DIR", help="Folder with the data; the study names the path of each dataset in it.")
+@data_options
 @click.option(
     "--frames",
     multiple=True,
@@ -50,15 +62,12 @@ jobs_option = click.option(
     "--out", type=click.Path(file_okay=False), metavar="DIR", help="Folder of the rows (default: p2o-out/STUDY)."
 )
 @click.option("--jobs", type=click.IntRange(min=1), metavar="N", help="Number of processes (default: one per core).")
-@click.option(
-    "--backend", type=click.Choice(["loky", "dask", "ray"]), default="loky", help="Backend that runs the jobs."
-)
+@cluster_options
 @click.option(
     "--isolate/--no-isolate",
     default=None,
     help="With --jobs 1: use a worker process, which a plugin may crash (default: if plugins are of other packages).",
 )
-@click.option("--address", metavar="ADDRESS", help="Scheduler of an existing dask or ray cluster.")
 @click.option(
     "--gate",
     type=click.Path(dir_okay=False),
@@ -71,9 +80,6 @@ jobs_option = click.option(
 @plugin_options
 def command(
     study: str | None,
-    data: tuple[str, ...],
-    root: str | None,
-    frames: tuple[str, ...],
     seeds: str | None,
     at_most: int | None,
     out: str | None,
@@ -87,6 +93,7 @@ def command(
     quiet: bool,
     plugin: tuple[str, ...],
     block: tuple[str, ...],
+    **data: Any,
 ) -> int:
     """Run a study (methods x frames x seeds) and print its table. STUDY is a name (see --list) or a TOML file.
 
@@ -113,91 +120,80 @@ def command(
 
     from p2o.runtime.native import available_cores
 
-    from p2o_study import gate as gates
-    from p2o_study.ablate import ablate, parse_seeds
+    from p2o_study.ablate import parse_seeds
+    from p2o_study.gate import read_reference
     from p2o_study.parallel import Workers
-    from p2o_study.study import StudyFile, find_study
-    from p2o_study.summary import summarised
-    from p2o_study.tables import terminal_text
+    from p2o_study.study import find_study
 
     shipped = find_study(study, plugins.registry())
-    overridden = shipped.study.overridden(data, frames, None if seeds is None else parse_seeds(seeds), root)
-    file = StudyFile(overridden, shipped.text, shipped.source)
-    reference = gates.read_reference(gate) if gate is not None and (not update or Path(gate).exists()) else None
-    folder = Path("p2o-out") / file.study.name if out is None else Path(out)
-    overrides = {"data": list(data), "root": root, "frames": list(frames), "seeds": seeds}
-    with _progress_or_kept_rows(file.study, folder, quiet) as (say, warn):
-        done = ablate(
-            file,
-            folder,
-            plugins=plugins,
-            workers=Workers(available_cores() if jobs is None else jobs, backend, address, isolate),
-            overrides={name: value for name, value in overrides.items() if value},
-            at_most=at_most,
-            on_progress=say,
-            on_warning=warn,
-        )
+    overridden = shipped.overridden(**data, seeds=None if seeds is None else parse_seeds(seeds))
+    reference = read_reference(gate) if gate is not None and (not update or Path(gate).exists()) else None
+    folder = Path("p2o-out") / overridden.name if out is None else Path(out)
+    done = _ablated(
+        overridden,
+        folder,
+        quiet,
+        plugins=plugins,
+        workers=Workers(available_cores() if jobs is None else jobs, backend, address, isolate),
+        at_most=at_most,
+    )
     if done.rows:
-        click.echo(f"{file.study.title}\n{terminal_text(summarised(file.study, done.rows, done.missing))}")
+        _print_table(overridden, done.rows, done.missing)
     if not quiet:
         click.echo(_outcome_text(done, folder), err=True)
     if done.interrupted:
-        return 130
+        return INTERRUPTED
     if gate is None:
         return 1 if any(row.crashed for row in done.rows) or done.missing else 0
-    return _gated(gate, file.study, done, reference, update=update)
+    return _gated(gate, overridden, done, reference, update=update)
 
 
-def _gated(gate: str, study: Study, done: Ablation, reference: Reference | None, *, update: bool) -> int:
-    """Return the exit status of a study with a gate; with `update` its reference is written instead."""
-    from p2o_study import gate as gates
-
-    if update:
-        _write_reference(gate, study, done, reference)
-        return 0
-    assert reference is not None
-    click.echo(str(ruling := gates.judge(study, done.rows, done.missing, reference)))
-    return 0 if ruling.open else 1
-
-
-@contextlib.contextmanager
-def _progress_or_kept_rows(study: Study, folder: Path, quiet: bool) -> Iterator[tuple[Say, Warn]]:
-    """Show progress as `progress_shown`; print the finished rows if an error ends a study that was computing."""
+def _ablated(study: Study, folder: Path, quiet: bool, **words: Any) -> Ablation:
+    """Run a study with progress; print the finished rows if an error ends it while it is computing."""
+    from p2o_study.ablate import ablate
     from p2o_study.rows import Rows
-    from p2o_study.summary import summarised
-    from p2o_study.tables import terminal_text
 
-    computing = False
+    phases: set[str] = set()
     try:
         with progress_shown(quiet) as (say, warn):
 
             def on_progress(progress: Progress) -> None:
-                nonlocal computing
-                computing = computing or progress.phase == "calibrate"
+                phases.add(progress.phase)
                 say(progress)
 
-            yield on_progress, warn
+            return ablate(study, folder, on_progress=on_progress, on_warning=warn, **words)
     except (P2OError, OSError):
         with contextlib.suppress(P2OError, OSError):
-            if computing and (rows := (stored := Rows(folder)).planned(study.name)):
-                click.echo(f"{study.title}\n{terminal_text(summarised(study, rows, stored.missing(study.name)))}")
+            if "calibrate" in phases and (rows := (stored := Rows(folder)).planned(study.name)):
+                _print_table(study, rows, stored.missing(study.name))
                 click.echo(f"p2o: {len(rows)} rows are kept in {printable(folder)}", err=True)
         raise
 
 
-def _write_reference(gate: str, study: Study, done: Ablation, reference: Reference | None) -> None:
-    """Write the reference of a gate; raises InputError if rows crashed or are missing."""
-    from p2o_study import gate as gates
+def _print_table(study: Study, rows: Sequence[Row], missing: Sequence[PlanRow]) -> None:
+    from p2o_study.summary import summarised
+    from p2o_study.tables import terminal_text
 
-    crashed = sum(row.crashed for row in done.rows)
-    if crashed or done.missing:
-        raise InputError(
-            "a study with crashed or missing rows cannot be a reference",
-            where=gate,
-            got=f"{crashed} crashed, {len(done.missing)} missing",
-        )
-    gates.write_reference(gate, gates.make_reference(study, done.rows, reference))
+    click.echo(f"{study.title}\n{terminal_text(summarised(study, rows, missing))}")
+
+
+def _gated(gate: str, study: Study, done: Ablation, reference: Reference | None, *, update: bool) -> int:
+    """Return the exit status of a study with a gate; with `update` its reference is written instead.
+
+    Raises InputError for a reference of a study with crashed or missing rows.
+    """
+    from p2o_study.gate import judge, make_reference, write_reference
+
+    if not update:
+        assert reference is not None
+        click.echo(str(ruling := judge(study, done.rows, done.missing, reference)))
+        return 0 if ruling.open else 1
+    if (crashed := sum(row.crashed for row in done.rows)) or done.missing:
+        text = "a study with crashed or missing rows cannot be a reference"
+        raise InputError(text, where=gate, got=f"{crashed} crashed, {len(done.missing)} missing")
+    write_reference(gate, make_reference(study, done.rows, reference))
     click.echo(f"reference written: {gate}")
+    return 0
 
 
 def _list(plugins: Any) -> str:
@@ -210,7 +206,7 @@ def _list(plugins: Any) -> str:
         for dist, _ in owners:
             word = name if len(owners) == 1 else f"{name}@{dist}"
             try:
-                titles[word] = find_study(word, registry).study.title
+                titles[word] = find_study(word, registry).title
             except P2OError as problem:
                 titles[word] = f"broken: {printable(str(problem))}"
     width = max((len(word) for word in titles), default=0)
@@ -219,87 +215,45 @@ def _list(plugins: Any) -> str:
 
 def _outcome_text(done: Ablation, folder: Path) -> str:
     """Return the counts of rows and how to continue."""
-    kept = len(done.rows) - done.computed
-    parts = [f"{done.computed} rows computed", *([f"{kept} kept"] if kept > 0 else [])]
-    crashed, first = 0, None
-    for row in done.rows:
-        crashed += row.crashed
-        first = row if first is None and row.crashed else first
-    if done.missing:
-        parts.append(f"{len(done.missing)} missing")
+    kept, crashed = len(done.rows) - done.computed, [row for row in done.rows if row.crashed]
+    parts = [f"{done.computed} rows computed"]
+    parts += [f"{count} {what}" for count, what in ((kept, "kept"), (len(done.missing), "missing")) if count > 0]
     lines = [f"{', '.join(parts)}; stored in {folder}"]
-    if first is not None:
-        lines.append(f"{crashed} rows crashed, such as {first.row}, {first.place}: {first.reason}")
+    if crashed:
+        first = crashed[0]
+        lines.append(f"{len(crashed)} rows crashed, such as {first.row}, {first.place}: {first.reason}")
     if done.interrupted:
         lines.append("interrupted: the same command continues")
     return "\n".join(f"p2o: {printable(line)}" for line in lines)
 
 
-Say = Callable[["Progress"], None]
-Warn = Callable[[str], None]
 _PHASES = {"read": "reading frames", "extract": "extracting features", "calibrate": "calibrating"}
 
 
 @contextlib.contextmanager
-def progress_shown(quiet: bool) -> Iterator[tuple[Say, Warn]]:
-    """Yield functions that show progress and warnings on stderr: a bar on a terminal, lines elsewhere.
+def progress_shown(quiet: bool) -> Iterator[tuple[Callable[[Progress], None], Callable[[str], None]]]:
+    """Yield functions that show progress and warnings on stderr: a status line on a terminal, lines elsewhere.
 
-    With `quiet` only warnings are shown.
+    The lines are those at the end of a phase and every few seconds. With `quiet` only warnings are shown.
     """
-    if quiet:
-        yield (lambda progress: None), _warned
-        return
-    if not sys.stderr.isatty():
-        yield _Lines(), _warned
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
-    from rich.progress import Progress as Bars
+    last = time.monotonic()
+    with status_line("reading the study", quiet=quiet) as show:
 
-    # Names of frames may contain brackets, which are no markup.
-    texts = (TextColumn(f"{{task.{word}}}", markup=False) for word in ("description", "fields[rest]"))
-    columns = (next(texts), BarColumn(), MofNCompleteColumn(), next(texts))
-    with Bars(*columns, console=Console(stderr=True), transient=True) as bars:
-        task = bars.add_task("reading the study", total=None, rest="")
-
-        def show(progress: Progress) -> None:
-            bars.update(
-                task,
-                description=_PHASES[progress.phase],
-                completed=progress.done,
-                total=progress.total,
-                rest=_rest(progress),
-            )
+        def say(progress: Progress) -> None:
+            nonlocal last
+            rest = [f"{progress.failed} failed"] if progress.failed else []
+            if progress.seconds_left is not None and progress.done < progress.total:
+                rest.append(f"about {duration_text(progress.seconds_left)} left")
+            rest += [printable(progress.name)] if progress.name else []
+            text = f"{_PHASES[progress.phase]}: {progress.done} of {progress.total}"
+            text += f" ({', '.join(rest)})" if rest else ""
+            if sys.stderr.isatty():
+                show(text)
+            elif progress.done == progress.total or time.monotonic() - last > LINE_INTERVAL_S:
+                last = time.monotonic()
+                click.echo(f"p2o: {text}", err=True)
 
         def warn(text: str) -> None:
-            bars.console.print(f"p2o: warning: {printable(text)}", markup=False, highlight=False, soft_wrap=True)
+            click.echo(f"p2o: warning: {printable(text)}", err=True)
 
-        yield show, warn
-
-
-def _warned(text: str) -> None:
-    click.echo(f"p2o: warning: {printable(text)}", err=True)
-
-
-class _Lines:
-    """Shows progress as lines: at the end of a phase and every few seconds."""
-
-    def __init__(self) -> None:
-        self.last = time.monotonic()
-
-    def __call__(self, progress: Progress) -> None:
-        ended = progress.done == progress.total
-        if ended or time.monotonic() - self.last > LINE_INTERVAL_S:
-            self.last = time.monotonic()
-            rest = _rest(progress)
-            text = f"p2o: {_PHASES[progress.phase]}: {progress.done} of {progress.total}"
-            click.echo(text + (f" ({rest})" if rest else ""), err=True)
-
-
-def _rest(progress: Progress) -> str:
-    parts = [f"{progress.failed} failed"] if progress.failed else []
-    if progress.seconds_left is not None and progress.done < progress.total:
-        parts.append(f"about {duration_text(progress.seconds_left)} left")
-    if progress.name:
-        parts.append(printable(progress.name))
-    return ", ".join(parts)
+        yield (lambda progress: None) if quiet else say, warn

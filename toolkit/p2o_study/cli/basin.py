@@ -2,64 +2,48 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
+from p2o.cli import INTERRUPTED
 from p2o.cli.plugin_options import plugin_options
 from p2o.errors import InputError
 
 from p2o_study.cli.ablate import at_most_option, jobs_option, progress_shown
 
-_ROTATIONS = "0.5,1,2,4,8"
-_TRANSLATIONS = "0.05,0.15,0.3,0.6"
+_option = partial(click.option, show_default=True)
 
 
 @click.command("basin")
 @click.argument("methods", nargs=-1, required=True, metavar="METHOD...")
-@click.option("--data", default="synthetic:", show_default=True, metavar="DATASET:PATH", help="The data.")
-@click.option("--frames", default="all", show_default=True, metavar="SPEC", help="Which frames, as in `p2o run`.")
-@click.option(
-    "--rotations",
-    default=_ROTATIONS,
-    show_default=True,
-    metavar="DEG,...",
-    help="Rotation errors of the initial guess.",
-)
-@click.option(
-    "--translations",
-    default=_TRANSLATIONS,
-    show_default=True,
-    metavar="M,...",
-    help="Translation errors of the initial guess.",
-)
-@click.option(
-    "--seeds", default=1, show_default=True, type=click.IntRange(1, 1000), help="Initial guesses per size and frame."
-)
-@click.option("--within", default="0.5deg 0.2m", show_default=True, metavar="SIZE", help="Maximum error of a success.")
+@_option("--data", default="synthetic:", metavar="DATASET:PATH", help="The data.")
+@_option("--frames", default="all", metavar="SPEC", help="Which frames, as in `p2o run`.")
+@_option("--rotations", default="0.5,1,2,4,8", metavar="DEG,...", help="Rotation errors of the initial guess.")
+@_option("--translations", default="0.05,0.15,0.3,0.6", metavar="M,...", help="Translation errors of initial guesses.")
+@_option("--seeds", default=1, type=click.IntRange(1, 1000), help="Initial guesses per size and frame.")
+@_option("--within", default="0.5deg 0.2m", metavar="SIZE", help="Maximum error of a success.")
 @at_most_option
 @click.option("--joint", is_flag=True, help="Calibrate all frames jointly.")
 @click.option("--study", metavar="STUDY", help="METHOD may be a label of a row of this study, with its options.")
-@click.option("--out", default="p2o-out/basin", show_default=True, metavar="DIR", help="Folder of rows and results.")
+@_option("--out", default="p2o-out/basin", metavar="DIR", help="Folder of rows and results.")
 @jobs_option
 @click.option("--quiet", is_flag=True, help="No progress.")
 @plugin_options
 def command(
     methods: tuple[str, ...],
-    data: str,
-    frames: str,
     rotations: str,
     translations: str,
-    seeds: int,
     within: str,
     at_most: int | None,
-    joint: bool,
     study: str | None,
     out: str,
     jobs: int,
     quiet: bool,
     plugin: tuple[str, ...],
     block: tuple[str, ...],
+    **words: Any,
 ) -> int:
     """Measure the share of successes over rotation and translation errors of the initial guess.
 
@@ -69,32 +53,19 @@ def command(
     from p2o.files.whole_file import write_json
     from p2o.geometry.perturb import parse_perturbation
 
-    from p2o_study.ablate import MAX_CALIBRATIONS, ablate
-    from p2o_study.basin import Grid, basin_of, basin_study, contender_of
+    from p2o_study.ablate import ablate
+    from p2o_study.basin import Grid, basin_of, basin_study, contender_of, heat_maps
     from p2o_study.parallel import Workers
-    from p2o_study.report.heat_maps import heat_maps
     from p2o_study.study import find_study
     from p2o_study.worker import Plugins
 
     plugins = Plugins.of(block, plugin)
     registry = plugins.registry()
-    grid = Grid(
-        _sizes("--rotations", rotations),
-        _sizes("--translations", translations),
-        parse_perturbation(within, "--within"),
-    )
-    known_study = None if study is None else find_study(study, registry).study
+    limits = parse_perturbation(within, "--within")
+    grid = Grid(_sizes("--rotations", rotations), _sizes("--translations", translations), limits)
+    known_study = None if study is None else find_study(study, registry)
     contenders = [contender_of(name, known_study, registry) for name in dict.fromkeys(methods)]
-    most, count = MAX_CALIBRATIONS if at_most is None else at_most, len(contenders) * len(grid.cells) * seeds
-    if count > most:
-        raise InputError(
-            "too many calibrations",
-            where="p2o basin",
-            expected=f"at most {most}",
-            got=f"{count} for each frame",
-            hint="reduce sizes, methods or seeds, or confirm the number: --at-most N",
-        )
-    file = basin_study(contenders, grid, data, frames, seeds, joint)
+    file = basin_study(contenders, grid, **words)
     with progress_shown(quiet) as (say, warn):
         done = ablate(
             file, out, plugins=plugins, workers=Workers(jobs), at_most=at_most, on_progress=say, on_warning=warn
@@ -102,27 +73,11 @@ def command(
     basins = [basin_of(contender, grid, done.rows) for contender in contenders]
     for basin in basins:
         click.echo(_table(basin, grid))
-    report: dict[str, Any] = {
-        "rotations_deg": grid.rotations_deg,
-        "translations_m": grid.translations_m,
-        "within": str(grid.within),
-        "data": data,
-        "frames": frames,
-        "seeds": seeds,
-        "joint": joint,
-        "methods": [basin.as_dict() for basin in basins],
-    }
+    sizes = {"rotations_deg": grid.rotations_deg, "translations_m": grid.translations_m, "within": str(grid.within)}
+    report = {**sizes, **words, "methods": [basin.as_dict() for basin in basins]}
     write_json(Path(out) / "basin.json", report)
-    heat_maps(
-        {basin.name: basin.success for basin in basins},
-        grid.rotations_deg,
-        grid.translations_m,
-        Path(out) / "basin.png",
-        row_label="rotation error of the initial guess, deg",
-        column_label="translation, m",
-        title=f"% of calibrations that end within {grid.within}",
-    )
-    return 130 if done.interrupted else 0
+    heat_maps(basins, grid, Path(out) / "basin.png")
+    return INTERRUPTED if done.interrupted else 0
 
 
 def _sizes(where: str, text: str) -> tuple[float, ...]:
@@ -137,7 +92,6 @@ def _table(basin: Any, grid: Any) -> str:
     head = f"{basin.name}: % within {grid.within} of {int(basin.count.max())} calibrations each"
     lines = [head, "  deg \\ m" + "".join(f"{size:>7g}" for size in grid.translations_m)]
     for angle, row in zip(grid.rotations_deg, basin.success, strict=True):
-        lines.append(
-            f"  {angle:>7g}" + "".join("      -" if share != share else f"{100 * share:>7.0f}" for share in row)
-        )
+        shares = ("-" if share != share else f"{100 * share:.0f}" for share in row)
+        lines.append(f"  {angle:>7g}" + "".join(f"{share:>7}" for share in shares))
     return "\n".join(lines)

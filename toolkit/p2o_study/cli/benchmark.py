@@ -2,29 +2,31 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from p2o.cli import INTERRUPTED
 from p2o.cli.json_output import json_option, print_json
 from p2o.cli.plugin_options import plugin_options
 from p2o.errors import printable
 
-from p2o_study.cli.ablate import at_most_option, progress_shown
+from p2o_study.cli.ablate import at_most_option, cluster_options, data_options, progress_shown
 
 if TYPE_CHECKING:
     from p2o_study.benchmark.measure import SuiteStatus
-    from p2o_study.benchmark.suite import SuiteFile
+    from p2o_study.benchmark.suite import Suite
     from p2o_study.benchmark.tables import SuiteTables
+    from p2o_study.rows import Rows
     from p2o_study.worker import Plugins
 
 _SHOWN = 20
-_NAMES = ("row", "section", "dataset", "place", "protocol", "seed", "finished")
 _MAX_SEED = 2**32 - 1
 
 
@@ -37,28 +39,20 @@ def command() -> None:
     """
 
 
-_quiet = click.option("--quiet", is_flag=True, help="No progress.")
-_by = click.option("--by", default="anonymous", show_default=True, metavar="NAME", help="Who measures.")
-_workers = click.option(
-    "--workers", type=click.IntRange(min=1), default=1, show_default=True, metavar="N", help="Number of processes."
-)
-_results = click.option(
-    "--results", default="benchmarks/results", show_default=True, metavar="DIR", help="Folder of the rows."
-)
-_cards = click.option(
-    "--cards", default="benchmarks/cards", show_default=True, metavar="DIR", help="Folder of the cards of data."
-)
-
-
 @dataclass(frozen=True)
 class _Bench:
-    """What the options that commands share name: suites on their data, plugins, and the folder of rows."""
+    """What the options that commands share name: suites on their data, plugins, workers, and the folder of rows."""
 
-    suites: str | None
-    data: tuple[str, ...]
-    root: str | None
     plugin: tuple[str, ...]
     block: tuple[str, ...]
+    suites: str | None = None
+    data: tuple[str, ...] = ()
+    root: str | None = None
+    results: str = ""
+    workers: int = 1
+    backend: Any = "loky"
+    address: str | None = None
+    quiet: bool = False
 
     @cached_property
     def plugins(self) -> Plugins:
@@ -66,39 +60,80 @@ class _Bench:
 
         return Plugins.of(self.block, self.plugin)
 
-    def open(self, name: str) -> SuiteFile:
+    @cached_property
+    def rows(self) -> Rows:
+        from p2o_study.rows import Rows
+
+        return Rows(self.results)
+
+    def open(self, name: str) -> Suite:
         """Return a suite on its data."""
         from p2o_study.benchmark.suite import find_suite
 
-        return find_suite(name, self.plugins.registry(), self.suites).on(self.data, self.root)
+        return find_suite(name, self.plugins.registry(), self.suites).overridden(data=self.data, root=self.root)
 
-    def names(self, suite: str | None = None) -> list[str]:
-        """Return the name of a suite, or those of all."""
+    def opened(self, suite: str | None = None) -> Iterator[Suite]:
+        """Yield a suite on its data, or all."""
         from p2o_study.benchmark.suite import suites
 
         if suite is None and self.data:
             raise click.UsageError("--data needs the name of a suite; --root is for all")
-        return list(suites(self.plugins.registry(), self.suites)) if suite is None else [suite]
+        return map(self.open, suites(self.plugins.registry(), self.suites) if suite is None else [suite])
+
+    def tables(self) -> Callable[[str], SuiteTables]:
+        """Return the function that reads the tables of a suite, once each."""
+        from p2o_study.benchmark.tables import SuiteTables
+
+        return cache(lambda suite: SuiteTables.read(self.open(suite), self.rows))
+
+    @contextlib.contextmanager
+    def session(self, as_json: bool = False) -> Iterator[dict[str, Any]]:
+        """Yield the words of a session that computes, and show its progress."""
+        from p2o_study.parallel import Workers
+
+        workers = Workers(self.workers, self.backend, self.address)
+        with progress_shown(self.quiet or as_json) as (say, warn):
+            yield {"plugins": self.plugins, "workers": workers, "on_progress": say, "on_warning": warn}
 
 
-def _suites(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options of suites and plugins, which the command takes as `bench`, with those of `_data_options`."""
+_OPTIONS: dict[str, Callable[[Any], Any]] = {
+    "suites": click.option("--suites", metavar="DIR", help="Folder of suites (default: those of installed plugins)."),
+    "data": data_options,
+    "results": click.option(
+        "--results", default="benchmarks/results", show_default=True, metavar="DIR", help="Folder of the rows."
+    ),
+    "workers": click.option(
+        "--workers", type=click.IntRange(min=1), default=1, show_default=True, metavar="N", help="Number of processes."
+    ),
+    "cluster": cluster_options,
+    "quiet": click.option("--quiet", is_flag=True, help="No progress."),
+}
 
-    @functools.wraps(function)
-    def command(suites: str | None, plugin: tuple[str, ...], block: tuple[str, ...], **words: Any) -> Any:
-        bench = _Bench(suites, words.pop("data", ()), words.pop("root", None), plugin, block)
-        return function(bench=bench, **words)
 
-    text = "Folder of the suites (default: those of the installed plugins)."
-    return plugin_options(click.option("--suites", metavar="DIR", help=text)(command))
+def _takes(*names: str) -> Callable[[Callable[..., int]], Callable[..., int]]:
+    """Return a decorator that adds shared options, and those of plugins, which the command takes as `bench`."""
+
+    def decorate(function: Callable[..., int]) -> Callable[..., int]:
+        @functools.wraps(function)
+        def command(**words: Any) -> int:
+            shared = {name: words.pop(name) for name in _Bench.__dataclass_fields__ if name in words}
+            return function(bench=_Bench(**shared), **words)
+
+        return functools.reduce(lambda wrapped, name: _OPTIONS[name](wrapped), names[::-1], plugin_options(command))
+
+    return decorate
 
 
-def _data_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options that name the data of a suite."""
-    many = "Run on these data; NAME selects one of several datasets."
-    function = click.option("--data", multiple=True, metavar="[NAME=]DATASET:PATH", help=many)(function)
-    text = "Folder with the data; the suite names the path of each dataset in it."
-    return click.option("--root", metavar="DIR", help=text)(function)
+_by = click.option("--by", default="anonymous", show_default=True, metavar="NAME", help="Who measures.")
+_cards = click.option(
+    "--cards", default="benchmarks/cards", show_default=True, metavar="DIR", help="Folder of the cards of data."
+)
+
+
+def _listed(lines: list[str]) -> list[str]:
+    """Return the first of many lines, and the number of others."""
+    more = [f"  and {len(lines) - _SHOWN} more (--json lists all)"] if len(lines) > _SHOWN else []
+    return [*lines[:_SHOWN], *more]
 
 
 @command.command("run")
@@ -106,29 +141,10 @@ def _data_options(function: Callable[..., Any]) -> Callable[..., Any]:
 @click.option(
     "--section", "sections", multiple=True, metavar="NAME", help="Measure one section; repeat it for several."
 )
-@_workers
-@click.option(
-    "--backend", type=click.Choice(["loky", "dask", "ray"]), default="loky", help="Backend that runs the jobs."
-)
-@click.option("--address", metavar="ADDRESS", help="Scheduler of an existing dask or ray cluster.")
+@_takes("workers", "cluster", "results", "data", "suites", "quiet")
 @_by
-@_results
-@_data_options
-@_suites
 @at_most_option
-@_quiet
-def run(
-    bench: _Bench,
-    suite: str,
-    sections: tuple[str, ...],
-    workers: int,
-    backend: Any,
-    address: str | None,
-    by: str,
-    results: str,
-    at_most: int | None,
-    quiet: bool,
-) -> int:
+def run(bench: _Bench, suite: str, sections: tuple[str, ...], by: str, at_most: int | None) -> int:
     """Measure the missing and stale rows of a suite and add them to the results.
 
     Rows that are measurements of the current code, weights, options and data are not computed again. Started again
@@ -141,23 +157,10 @@ def run(
     Exit status 1 if a calibration raised or is missing, 130 if interrupted.
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
     from p2o_study.benchmark.measure import measure
-    from p2o_study.parallel import Workers
-    from p2o_study.rows import Rows
 
     file = bench.open(suite)
-    rows = Rows(results)
-    with progress_shown(quiet) as (say, warn):
-        done = measure(
-            file,
-            rows,
-            measured_by=by,
-            sections=sections,
-            plugins=bench.plugins,
-            workers=Workers(workers, backend, address),
-            at_most=at_most,
-            on_progress=say,
-            on_warning=warn,
-        )
+    with bench.session() as words:
+        done = measure(file, bench.rows, measured_by=by, sections=sections, at_most=at_most, **words)
     shared = f" ({done.shared} measured for other suites)" if done.shared else ""
     parts = [
         f"{done.added} rows added{shared}",
@@ -166,29 +169,18 @@ def run(
         f"{done.missing} missing",
     ]
     parts += [f"{done.unreadable} with unreadable frames"] if done.unreadable else []
-    click.echo(f"{file.name}: {', '.join(parts)}; {rows.path(file.name)}")
+    click.echo(f"{file.name}: {', '.join(parts)}; {bench.rows.path(file.name)}")
     if done.interrupted:
         click.echo("p2o: interrupted: the same command continues", err=True)
-        return 130
+        return INTERRUPTED
     return 1 if done.crashed or done.missing or done.unreadable else 0
 
 
 @command.command("status")
 @click.argument("suite", required=False)
-@_workers
-@_results
-@_data_options
-@_suites
+@_takes("workers", "results", "data", "suites", "quiet")
 @json_option
-@_quiet
-def status(
-    bench: _Bench,
-    suite: str | None,
-    workers: int,
-    results: str,
-    as_json: bool,
-    quiet: bool,
-) -> int:
+def status(bench: _Bench, suite: str | None, as_json: bool) -> int:
     """List the rows of a suite, or of all, that are missing or whose method or data changed since.
 
     Nothing is computed. Datasets without a path are not compared: their rows are compared by method only.
@@ -196,16 +188,9 @@ def status(
     Exit status 1 if a row is missing or stale.
     """
     from p2o_study.benchmark.measure import status_of
-    from p2o_study.parallel import Workers
-    from p2o_study.rows import Rows
 
-    states = []
-    with progress_shown(quiet or as_json) as (say, _):
-        for name in bench.names(suite):
-            file = bench.open(name)
-            states.append(
-                status_of(file, Rows(results), plugins=bench.plugins, workers=Workers(workers), on_progress=say)
-            )
+    with bench.session(as_json) as words:
+        states = [status_of(file, bench.rows, **words) for file in bench.opened(suite)]
     if as_json:
         print_json({"suites": [state.as_dict() for state in states]})
     else:
@@ -223,30 +208,16 @@ def _status_text(status: SuiteStatus) -> str:
     lines = [f"{status.suite}: {', '.join(counts) or 'no rows'}"]
     if status.unchecked:
         lines.append(f"  without data (--root DIR or --data), compared by method only: {', '.join(status.unchecked)}")
-    lines += [f"  {e.state.value}: {e.row}, {e.place}, {e.protocol}, seed {e.seed}" for e in status.outdated[:_SHOWN]]
-    if len(status.outdated) > _SHOWN:
-        lines.append(f"  and {len(status.outdated) - _SHOWN} more (--json lists all)")
+    lines += _listed([f"  {state}: {r.row}, {r.place}, {r.protocol}, seed {r.seed}" for r, state in status.outdated])
     return "\n".join(map(printable, lines))
 
 
 @command.command("prune")
 @click.argument("suite")
 @click.option("--dry-run", is_flag=True, help="List the rows and remove none.")
-@_workers
-@_results
-@_data_options
-@_suites
+@_takes("workers", "results", "data", "suites", "quiet")
 @json_option
-@_quiet
-def prune(
-    bench: _Bench,
-    suite: str,
-    dry_run: bool,
-    workers: int,
-    results: str,
-    as_json: bool,
-    quiet: bool,
-) -> int:
+def prune(bench: _Bench, suite: str, dry_run: bool, as_json: bool) -> int:
     """Remove the rows that a suite no longer asks for, and those that a later row replaces; sort the others.
 
     Nothing is computed. Without their data, whether the suite has the frames of a row is unknown: only replaced rows
@@ -255,26 +226,23 @@ def prune(
     \b
     p2o benchmark prune rigs --root DIR --dry-run
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
-    from p2o_study.benchmark.measure import prunable
-    from p2o_study.parallel import Workers
-    from p2o_study.rows import Rows
+    from p2o_study.benchmark.measure import status_of
 
-    file = bench.open(suite)
-    known, unused = Rows(results), 0
-    with progress_shown(quiet or as_json) as (say, _):
-        kept, rows = prunable(file, known, plugins=bench.plugins, workers=Workers(workers), on_progress=say)
+    file, unused = bench.open(suite), 0
+    with bench.session(as_json) as words:
+        status = status_of(file, bench.rows, **words)
+    rows = status.removable
     if not dry_run:
-        known.rewrite(file.name, kept)
-        unused = known.remove_unused()
+        bench.rows.rewrite(file.name, status.kept)
+        unused = bench.rows.remove_unused()
     if as_json:
-        removable = [{name: getattr(row, name) for name in _NAMES} for row in rows]
+        removable = [{**row.named(), "finished": row.finished} for row in rows]
         print_json({"suite": file.name, "dry_run": dry_run, "rows": removable, "unused": unused})
         return 0
-    lines = [f"  {row.row}, {row.dataset} {row.place}, {row.protocol}, seed {row.seed}" for row in rows[:_SHOWN]]
-    lines += [f"  and {len(rows) - _SHOWN} more (--json lists all)"] if len(rows) > _SHOWN else []
+    lines = _listed([f"  {row.row}, {row.dataset} {row.place}, {row.protocol}, seed {row.seed}" for row in rows])
     counts = f"{len(rows)} rows" + (f" and {unused} unused frames, cases, methods and environments" if unused else "")
     done = "would be removed" if dry_run else "removed"
-    click.echo("\n".join(map(printable, [*lines, f"{file.name}: {counts} {done}; {known.path(file.name)}"])))
+    click.echo("\n".join(map(printable, [*lines, f"{file.name}: {counts} {done}; {bench.rows.path(file.name)}"])))
     return 0
 
 
@@ -286,20 +254,8 @@ def prune(
 @click.option(
     "--seed", type=click.IntRange(0, _MAX_SEED), metavar="N", help="Seed of the sample (default: drawn at random)."
 )
-@_workers
-@_results
-@_data_options
-@_suites
-@_quiet
-def recheck(
-    bench: _Bench,
-    suite: str | None,
-    sample: int,
-    seed: int | None,
-    workers: int,
-    results: str,
-    quiet: bool,
-) -> int:
+@_takes("workers", "results", "data", "suites", "quiet")
+def recheck(bench: _Bench, suite: str | None, sample: int, seed: int | None) -> int:
     """Compute a random sample of the rows of a suite, or of all, again, and compare the outcomes.
 
     Status, verdict, pose and predicted errors have to agree: rows of this processor to 1e-6 deg and m, those of another
@@ -315,56 +271,34 @@ def recheck(
     import secrets
 
     from p2o_study.benchmark.measure import recheck as rechecked
-    from p2o_study.parallel import Workers
-    from p2o_study.rows import Rows
 
     drawn, clean = secrets.randbelow(_MAX_SEED) if seed is None else seed, True
     try:
-        with progress_shown(quiet) as (say, warn):
-            for name in bench.names(suite):
-                file = bench.open(name)
-                outcome = rechecked(
-                    file,
-                    Rows(results),
-                    sample=sample,
-                    seed=drawn,
-                    plugins=bench.plugins,
-                    workers=Workers(workers),
-                    on_progress=say,
-                    on_warning=warn,
-                )
+        with bench.session() as words:
+            for file in bench.opened(suite):
+                outcome = rechecked(file, bench.rows, sample=sample, seed=drawn, **words)
                 click.echo("\n".join(map(printable, str(outcome).splitlines())))
                 clean &= outcome.clean
     except KeyboardInterrupt:
         click.echo("p2o: interrupted", err=True)
-        return 130
+        return INTERRUPTED
     return 0 if clean else 1
 
 
-def _starts(file: SuiteFile, plugins: Plugins, quiet: bool) -> Any:
+def _starts(file: Suite, bench: _Bench) -> Any:
     """Return the initial guesses of a suite by group, protocol and seed; frames are read."""
     from p2o_study.ablate import open_session
     from p2o_study.benchmark.score import starts_of
 
-    with (
-        progress_shown(quiet) as (say, warn),
-        open_session(file.study.study, plugins, on_progress=say, on_warning=warn) as session,
-    ):
+    with bench.session() as words, open_session(file, **words) as session:
         return starts_of(session.cells())
 
 
 @command.command("starts")
 @click.argument("suite")
 @click.option("--out", required=True, metavar="FILE.csv", help="The file to write.")
-@_data_options
-@_suites
-@_quiet
-def starts(
-    bench: _Bench,
-    suite: str,
-    out: str,
-    quiet: bool,
-) -> int:
+@_takes("data", "suites", "quiet")
+def starts(bench: _Bench, suite: str, out: str) -> int:
     """Write the initial guesses of a suite as CSV, for a method outside p2o.
 
     Each line is one calibration: group, protocol, seed, the names of its frames separated by ";", and the initial guess
@@ -377,8 +311,7 @@ def starts(
 
     from p2o_study.benchmark.score import starts_csv
 
-    file = bench.open(suite)
-    known = _starts(file, bench.plugins, quiet)
+    known = _starts(bench.open(suite), bench)
     write_whole(out, starts_csv(known).encode())
     click.echo(f"wrote {out}: {len(known)} initial guesses")
     return 0
@@ -390,20 +323,8 @@ def starts(
 @click.option("--name", required=True, metavar="NAME", help="The name of the method in tables.")
 @click.option("--source", default="", metavar="TEXT", help="Where the method is described: a paper or an address.")
 @click.option("--by", default="anonymous", show_default=True, metavar="NAME", help="Who measured; part of each row.")
-@_results
-@_data_options
-@_suites
-@_quiet
-def score(
-    bench: _Bench,
-    poses: str,
-    suite: str,
-    name: str,
-    source: str,
-    by: str,
-    results: str,
-    quiet: bool,
-) -> int:
+@_takes("results", "data", "suites", "quiet")
+def score(bench: _Bench, poses: str, suite: str, name: str, source: str, by: str) -> int:
     """Add the poses of a method outside p2o to the results of a suite.
 
     POSES is a CSV file with the columns group, protocol and seed of `p2o benchmark starts`, and camera_from_lidar as
@@ -414,13 +335,12 @@ def score(
     p2o benchmark score poses.csv --suite smoke --name "PnP on boards"
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
     from p2o_study.benchmark import score as external
-    from p2o_study.rows import Rows
 
     file = bench.open(suite)
-    known = _starts(file, bench.plugins, quiet)
-    labels = [row.label for row in file.rows]
+    known = _starts(file, bench)
+    labels = [row.label for row in file.all_rows()]
     rows = external.score(Path(poses), known, name, source=source, measured_by=by, known=labels)
-    stored = Rows(results)
+    stored = bench.rows
     stored.make_folder()
     for row in rows:
         stored.put(file.name, row)
@@ -429,29 +349,11 @@ def score(
     return 0
 
 
-def _tables(bench: _Bench, results: str) -> Callable[[str], SuiteTables]:
-    """Return the function that reads the tables of a suite, once each."""
-    from p2o_study.benchmark.tables import SuiteTables
-    from p2o_study.rows import Rows
-
-    @cache
-    def tables(suite: str) -> SuiteTables:
-        return SuiteTables.read(bench.open(suite), Rows(results))
-
-    return tables
-
-
 @command.command("table")
 @click.argument("suite")
 @click.option("--section", metavar="NAME", help="One section of the suite (default: all).")
-@_results
-@_suites
-def table(
-    bench: _Bench,
-    suite: str,
-    section: str | None,
-    results: str,
-) -> int:
+@_takes("results", "suites")
+def table(bench: _Bench, suite: str, section: str | None) -> int:
     """Print the tables of a suite in Markdown, from its rows; no data are needed.
 
     Means with 95 % intervals by bootstrap over independent groups, medians, refused calibrations, false accepts and
@@ -459,8 +361,8 @@ def table(
     """
     from p2o_study.benchmark.tables import NOTE, Choice
 
-    tables = _tables(bench, results)(suite)
-    click.echo(tables.markdown(Choice(tables.suite.name, section)))
+    tables = bench.tables()(suite)
+    click.echo(tables.markdown(Choice(section)))
     click.echo(NOTE)
     return 0
 
@@ -468,18 +370,9 @@ def table(
 @command.command("page")
 @click.option("--out", required=True, metavar="FOLDER", help="The folder to write: index.html, and its runs in data.")
 @click.option("--overlays", is_flag=True, help="Draw worst and median run of each row on synthetic data.")
-@_results
-@_suites
+@_takes("results", "suites", "quiet")
 @_cards
-@_quiet
-def page(
-    bench: _Bench,
-    out: str,
-    overlays: bool,
-    results: str,
-    cards: str,
-    quiet: bool,
-) -> int:
+def page(bench: _Bench, out: str, overlays: bool, cards: str) -> int:
     """Write one page of all suites: tables with top groups, plots, and the runs of each row; no data are needed.
 
     The page works offline, on a phone and without a server. It has filters by data set, initial error, number of
@@ -489,18 +382,15 @@ def page(
     p2o benchmark page --out p2o-out/benchmark/page
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
     from p2o_study.benchmark.card import read_cards
-    from p2o_study.benchmark.overlays import Overlays
-    from p2o_study.benchmark.page import write_page
-    from p2o_study.rows import Rows
+    from p2o_study.benchmark.page import Overlays, write_page
 
     registry = bench.plugins.registry()
-    files = list(map(bench.open, bench.names()))
-    tell = (lambda name: None) if quiet else (lambda name: click.echo(f"suite {name}", err=True))
+    tell = (lambda name: None) if bench.quiet else (lambda name: click.echo(f"suite {name}", err=True))
     drawing = Overlays(registry) if overlays else None
     known = read_cards(Path(cards)).values()
     written = write_page(
-        files,
-        Rows(results),
+        list(bench.opened()),
+        bench.rows,
         Path(out),
         registry,
         cards=lambda table: {card.title: card.facts for card in known if card.covers(table)},
@@ -519,16 +409,9 @@ def page(
 @click.argument("name", required=False)
 @click.option("--digest", metavar="DATASET:PATH", help="Print the digests of these frames and verify them.")
 @click.option("--frames", metavar="SPEC", help="Frames of --digest (default: those of the card, all if it has none).")
+@_takes()
 @_cards
-@plugin_options
-def cards(
-    name: str | None,
-    digest: str | None,
-    frames: str | None,
-    cards: str,
-    plugin: tuple[str, ...],
-    block: tuple[str, ...],
-) -> int:
+def cards(bench: _Bench, name: str | None, digest: str | None, frames: str | None, cards: str) -> int:
     """Print the cards of data in Markdown, or verify that frames are those of a card.
 
     \b
@@ -540,7 +423,6 @@ def cards(
     from p2o.errors import UnknownNameError
 
     from p2o_study.benchmark.card import cards_text, differences, frame_digests, read_cards
-    from p2o_study.worker import Plugins
 
     known = read_cards(Path(cards))
     if name is not None and name not in known:
@@ -551,7 +433,7 @@ def cards(
     if name is None:
         raise click.UsageError("--digest needs the name of a card")
     card = known[name]
-    digests = frame_digests(digest, frames or ",".join(card.digests) or "all", Plugins.of(block, plugin))
+    digests = frame_digests(digest, frames or ",".join(card.digests) or "all", bench.plugins)
     different = differences(card, digests)
     click.echo(
         "\n".join(["digests:", *(f"  {json.dumps(frame)}: {json.dumps(value)}" for frame, value in digests.items())])
@@ -565,9 +447,9 @@ def cards(
 @command.command("record", context_settings={"ignore_unknown_options": True})
 @click.argument("name")
 @click.argument("measuring", nargs=-1, required=True, metavar="COMMAND", type=click.UNPROCESSED)
+@_takes("results")
 @_by
-@_results
-def record(name: str, measuring: tuple[str, ...], by: str, results: str) -> int:
+def record(bench: _Bench, name: str, measuring: tuple[str, ...], by: str) -> int:
     """Run a measuring command and record what it prints, for pages: figures that are no calibrations.
 
     The record states command, commit, date and machine. A page shows it between `<!-- record: NAME -->` and
@@ -578,7 +460,7 @@ def record(name: str, measuring: tuple[str, ...], by: str, results: str) -> int:
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
     from p2o_study.benchmark.record import recorded, write_record
 
-    path = write_record(Path(results), recorded(name, measuring, by))
+    path = write_record(Path(bench.results), recorded(name, measuring, by))
     click.echo(f"wrote {path}")
     return 0
 
@@ -586,34 +468,32 @@ def record(name: str, measuring: tuple[str, ...], by: str, results: str) -> int:
 @command.command("docs")
 @click.argument("pages", nargs=-1, metavar="[FILE.md]...")
 @click.option("--check", is_flag=True, help="Change nothing; exit status 1 if a page differs from the rows or cards.")
-@_results
-@_suites
+@_takes("results", "suites")
 @_cards
-def docs(
-    bench: _Bench,
-    pages: tuple[str, ...],
-    check: bool,
-    results: str,
-    cards: str,
-) -> int:
+def docs(bench: _Bench, pages: tuple[str, ...], check: bool, cards: str) -> int:
     """Write the tables of marked parts of pages from rows and cards of data (default: README.md and docs).
 
     A table is marked by the lines `<!-- rows: SUITE -->`, or
     `<!-- rows: SUITE, SECTION; data: A, B; methods: X, Y -->`, and `<!-- /rows -->`; a record by
     `<!-- record: NAME -->` and `<!-- /record -->`; the cards by `<!-- cards -->` and `<!-- /cards -->`.
     """
+    from p2o.files.input_file import read_text
     from p2o.files.whole_file import write_whole
 
-    from p2o_study.benchmark.card import read_cards, with_cards
-    from p2o_study.benchmark.record import with_records
-    from p2o_study.benchmark.tables import pages_with_marks, rendered
+    from p2o_study.benchmark.card import page_text, read_cards
+    from p2o_study.benchmark.marks import rendered
+    from p2o_study.benchmark.record import record_text
+    from p2o_study.benchmark.tables import rows_text
 
-    paths = [Path(page) for page in pages] or [Path("README.md"), *sorted(Path("docs").rglob("*.md"))]
-    tables = _tables(bench, results)
+    writers = {
+        "rows": rows_text(bench.tables()),
+        "record": record_text(Path(bench.results)),
+        "cards": lambda *_: page_text(read_cards(Path(cards))),
+    }
     different = 0
-    for path, before in pages_with_marks(paths).items():
-        after = with_cards(rendered(before, str(path), tables), str(path), lambda: read_cards(Path(cards)))
-        after = with_records(after, str(path), Path(results))
+    for path in [Path(page) for page in pages] or [Path("README.md"), *sorted(Path("docs").rglob("*.md"))]:
+        before = read_text(path, "page")
+        after = rendered(before, str(path), writers)
         if after != before:
             different += 1
             click.echo(f"{path}: {'differs from rows, records or cards' if check else 'written'}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,8 @@ from p2o.cli.pose_options import StartCommand
 
 from p2o_study.cli.ablate import at_most_option, jobs_option, progress_shown
 
+_option = partial(click.option, show_default=True)
+
 
 @click.command("compare", cls=StartCommand)
 @data_argument("The data.")
@@ -25,19 +28,15 @@ from p2o_study.cli.ablate import at_most_option, jobs_option, progress_shown
     shell_complete=complete_methods("calibrator", "matcher", published=True, many=True),
     help="The methods: ours,ours-without-prior,nid,gmm,...",
 )
-@click.option("--frames", default="all", show_default=True, metavar="SPEC", help="Which frames, as in `p2o run`.")
-@click.option("--groups", default=6, show_default=True, metavar="N", help="Number of disjoint groups of frames.")
-@click.option("--seeds", default="3", show_default=True, metavar="N|LIST", help="Initial guesses for each group.")
+@_option("--frames", default="all", metavar="SPEC", help="Which frames, as in `p2o run`.")
+@_option("--groups", default=6, metavar="N", help="Number of disjoint groups of frames.")
+@_option("--seeds", default="3", metavar="N|LIST", help="Initial guesses for each group.")
 @click.option("--start", metavar='FILE | roughly "WORDS"', help="The initial guess, if the data have none.")
-@click.option(
-    "--perturb",
-    default="1deg 0.1m",
-    show_default=True,
-    metavar="SIZE",
-    help="How far the initial guesses are from it, in random directions.",
+@_option(
+    "--perturb", default="1deg 0.1m", metavar="SIZE", help="Distance of the initial guesses from it, random directions."
 )
 @at_most_option
-@click.option("--out", default="p2o-out/compare", show_default=True, metavar="DIR", help="Folder of rows and page.")
+@_option("--out", default="p2o-out/compare", metavar="DIR", help="Folder of rows and page.")
 @jobs_option
 @json_option
 @click.option("--quiet", is_flag=True, help="No progress.")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import math
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -12,8 +13,8 @@ from p2o.page.page import Column, brief, cell
 
 from p2o_study.compare import BLIND, Comparison, Outcome
 from p2o_study.comparison import Standing
-from p2o_study.statistics import Interval, brief_seconds
-from p2o_study.tables import NONE, shown
+from p2o_study.statistics import brief_seconds
+from p2o_study.tables import aligned, shown, text_of
 
 _LENGTHS = {
     "repeatability": "repeatability",
@@ -22,8 +23,8 @@ _LENGTHS = {
     "consensus": "to other families",
 }
 """Headers of the figures that have a rotation and a translation."""
-_BRIEF = ("repeatability", "consensus")
-"""Those of the table of a terminal."""
+_PAGE_ONLY = ("from other guesses", "from other frames")
+_ERROR = "error (truth, not used)"
 _GROUPS = (
     "Group 1: methods that cannot be distinguished from the best at 95 %. In brackets: 95 % intervals from bootstrap "
     "samples of the groups."
@@ -46,7 +47,8 @@ def ranking_columns(comparison: Comparison) -> list[Column]:
         Column("group", hide=0, of=lambda s: s.tier),
         Column("family", text=True, hide=2, of=lambda s: s.family),
     ]
-    for hide, name in enumerate(_lengths(comparison, _LENGTHS), 1):
+    lengths = [name for name in _LENGTHS if f"{name}_deg" in comparison.ranking[0].figures]
+    for hide, name in enumerate(lengths, 1):
         for unit, key, factor, digits in (("deg", f"{name}_deg", 1.0, 3), ("cm", f"{name}_m", 100.0, 1)):
             of = partial(_interval, key=key, factor=factor)
             columns.append(Column(_LENGTHS[name], unit, digits, hide=hide, of=of))
@@ -54,13 +56,12 @@ def ranking_columns(comparison: Comparison) -> list[Column]:
         Column(f"held-out {judge}", hide=2, of=partial(_held_out, judge=judge, shared=shared))
         for judge, shared in comparison.shares.items()
     ]
-    error = "error (truth, not used)"
     return [
         *columns,
         Column("failed", hide=1, of=lambda s: _failed(outcomes[s.name])),
-        Column("time", "s", 2, hide=4, of=lambda s: brief(outcomes[s.name].seconds)),
-        Column(error, "deg", 3, hide=3, of=lambda s: brief(outcomes[s.name].error_deg)),
-        Column(error, "m", 3, hide=3, of=lambda s: brief(outcomes[s.name].error_m)),
+        Column("time", "s", hide=4, of=lambda s: _seconds(outcomes[s.name])),
+        Column(_ERROR, "deg", 3, hide=3, of=lambda s: brief(outcomes[s.name].error_deg)),
+        Column(_ERROR, "cm", 1, hide=3, of=lambda s: brief(100 * (outcomes[s.name].error_m or math.nan))),
     ]
 
 
@@ -80,43 +81,21 @@ def _failed(outcome: Outcome) -> Any:
     return cell(failed, f"{failed} of {outcome.runs}" if failed else "0")
 
 
-def _lengths(comparison: Comparison, names: Iterable[str]) -> list[str]:
-    return [name for name in names if f"{name}_deg" in comparison.ranking[0].figures]
-
-
-def _table_of_text(comparison: Comparison) -> list[list[str]]:
-    """Return header and rows of the ranking for a terminal, without intervals."""
-    lengths = _lengths(comparison, _BRIEF)
-    known = any(outcome.error_deg is not None for outcome in comparison.outcomes.values())
-    header = ["method", "group", "family"]
-    header += [f"{_LENGTHS[name]} {unit}" for name in lengths for unit in ("deg", "cm")]
-    header += [f"held-out {judge}" for judge in comparison.shares] + ["failed", "s"]
-    header += ["error deg (truth, not used)", "cm"] if known else []
-    rows = [header]
-    for s in comparison.ranking:
-        keys = [f"{name}_{unit}" for name in lengths for unit in ("deg", "m")]
-        values = {key: Interval(figure.value) for key, figure in s.figures.items()}
-        row = [s.name, str(s.tier), s.family, *(shown(values[key], key) for key in keys)]
-        row += [shown(values[j], "px_deg") + "*" * shared[s.name] for j, shared in comparison.shares.items()]
-        outcome = comparison.outcomes[s.name]
-        failed = outcome.runs - outcome.solved
-        row += [f"{failed} of {outcome.runs}" if failed else "0", brief_seconds(outcome.seconds or float("nan"))]
-        if known:
-            errors = outcome.error_deg, outcome.error_m
-            row += [NONE if e is None else f"{e * f:.{d}f}" for e, f, d in zip(errors, (1, 100), (3, 1), strict=True)]
-        rows.append(row)
-    return rows
+def _seconds(outcome: Outcome) -> Any:
+    return None if outcome.seconds is None else cell(brief(outcome.seconds), brief_seconds(outcome.seconds))
 
 
 def comparison_text(comparison: Comparison) -> str:
-    """Return the ranking, the sentence and the remarks for a terminal."""
-    rows = _table_of_text(comparison)
+    """Return the ranking without intervals, the sentence and the remarks for a terminal."""
+    known = any(outcome.error_deg is not None for outcome in comparison.outcomes.values())
+    left_out = (*_PAGE_ONLY, *(() if known else (_ERROR,)))
+    columns = [column for column in ranking_columns(comparison) if column.name not in left_out]
     # Headers of several words take several lines.
-    heads = [cell.split(" ") for cell in rows[0]]
-    lines = [[head[i] if i < len(head) else "" for head in heads] for i in range(max(map(len, heads)))] + rows[1:]
-    widths = [max(len(line[i]) for line in lines) for i in range(len(heads))]
-    text = ["  ".join([line[0].ljust(widths[0]), *map(str.rjust, line[1:], widths[1:])]).rstrip() for line in lines]
-    return "\n".join(map(printable, [*text, "", comparison.sentence, *comparison.remarks, BLIND])) + "\n"
+    heads = [f"{column.name} {column.unit or ''}".split() for column in columns]
+    lines = [[head[i] if i < len(head) else "" for head in heads] for i in range(max(map(len, heads)))]
+    lines += [[text_of(column, standing) for column in columns] for standing in comparison.ranking]
+    text = [*aligned(lines), "", comparison.sentence, *comparison.remarks, BLIND]
+    return "\n".join(map(printable, text)) + "\n"
 
 
 def comparison_page(comparison: Comparison) -> str:

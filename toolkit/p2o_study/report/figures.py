@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from p2o.arrays import Float
@@ -12,7 +12,7 @@ from p2o.errors import printable
 from p2o.files.file_names import distinct_names
 from p2o.page.plot import Axis, Figure, Panel, Series
 
-from p2o_study.report.series import QUARTILES, convergence_of, differ_much, lifted, rounds_differ_much
+from p2o_study.row import Row
 from p2o_study.statistics import Statistics
 from p2o_study.summary import Group, Summary
 from p2o_study.tables import name_of, unit_of
@@ -23,8 +23,73 @@ _MOST_NAMES = 80
 _MOST_ROWS = 200
 """Maximum number of rows in a figure: more are not legible, and an image has at most 65535 px."""
 _LONGEST_TITLE = 150
-OpensOf = Callable[[int, int], int | None]
-"""Returns the row of a table that shows a run, by the number of its row and of the run."""
+Opens = Mapping[int, int]
+
+
+# ---- values
+
+QUARTILES = (0.25, 0.5, 0.75)
+MUCH = 20.0
+"""Ratio of medians: on a linear axis of 300 px the smaller box would have 15 px and not be legible."""
+RULE = f"An axis is logarithmic where the median size of one row is over {MUCH:g} times that of another."
+
+
+@dataclass(frozen=True, eq=False)
+class Convergence:
+    """Lower quartile, median and upper quartile (3, rounds) over `runs` runs of matches and of mean residuals in px."""
+
+    runs: int
+    matches: Float
+    residual_px: Float
+
+
+def convergence_of(runs: Iterable[Row]) -> Convergence | None:
+    """Return the convergence of runs; None if no run has rounds of matching and solving.
+
+    A run that has ended is continued with the values of its last round; otherwise the last rounds would represent the
+    slowest runs only.
+    """
+    # The round of an initializer has no matches.
+    solved = [[r for r in run.rounds if math.isfinite(r.mean_residual) and r.matches] for run in runs]
+    values = [np.array([[sum(r.matches.values()), r.mean_residual] for r in rounds]) for rounds in solved if rounds]
+    if not values:
+        return None
+    last = range(max(map(len, values)))
+    quartiles = np.array([np.quantile([v[min(i, len(v) - 1)] for v in values], QUARTILES, axis=0) for i in last])
+    matches, residual_px = np.moveaxis(quartiles, (2, 1), (0, 1))
+    return Convergence(len(values), matches, residual_px)
+
+
+def rounds_differ_much(histories: Iterable[Convergence | None]) -> tuple[bool, bool]:
+    """Return whether the medians of matches and of residuals in the last round `differ_much` between rows."""
+    known = [history for history in histories if history is not None]
+    return (
+        differ_much(history.matches[1, -1:] for history in known),
+        differ_much(history.residual_px[1, -1:] for history in known),
+    )
+
+
+def differ_much(rows: Iterable[Float]) -> bool:
+    """Return whether the largest median absolute value of a row exceeds `MUCH` times the smallest.
+
+    Rows without finite values and medians of zero are left out.
+    """
+    medians = [float(np.median(sizes)) for row in rows if len(sizes := _sizes(row))]
+    shown = [median for median in medians if median > 0]
+    return bool(shown) and max(shown) > MUCH * min(shown)
+
+
+def lifted(rows: Iterable[Float]) -> list[Float]:
+    """Return absolute values for a logarithmic axis: zeros are replaced by the smallest positive value."""
+    sizes = [_sizes(row) for row in rows]
+    above = [float(size[size > 0].min()) for size in sizes if (size > 0).any()]
+    least = min(above, default=1.0)
+    return [np.maximum(size, least) for size in sizes]
+
+
+def _sizes(row: Float) -> Float:
+    values = np.abs(np.asarray(row, dtype=np.float64))
+    return np.asarray(values[np.isfinite(values)])
 
 
 # ---- panels, for the page and for files
@@ -35,11 +100,12 @@ def errors_of(row: Statistics, metric: str) -> Float:
     return unit_of(metric)[1] * row.signed(metric)
 
 
-def boxes(group: Group, metric: str, *, log: bool, opens: OpensOf | None = None, reach: float | None = None) -> Panel:
+def boxes(group: Group, metric: str, *, log: bool, opens: Opens | None = None, reach: float | None = None) -> Panel:
     """Return the errors of a metric as box plots, one per row.
 
-    On a logarithmic axis they are absolute. With `opens`, runs beyond the whiskers are points that open them; with
-    `reach` the axis is limited to this error, and its title counts the runs beyond.
+    On a logarithmic axis they are absolute. With `opens`, runs beyond the whiskers are points that open the row of a
+    table that shows them, by the id of the run; with `reach` the axis is limited to this error, and its title counts
+    the runs beyond.
     """
     labels = [row.label for row in group.measured]
     values = [errors_of(row, metric) for row in group.measured]
@@ -67,12 +133,12 @@ def box_of(values: Float) -> list[float]:
     return [float(value) for value in (inner.min(), low, middle, high, inner.max())]
 
 
-def _beyond(group: Group, metric: str, number: int, box: Sequence[float], opens: OpensOf, *, log: bool) -> Series:
+def _beyond(group: Group, metric: str, number: int, box: Sequence[float], opens: Opens, *, log: bool) -> Series:
     """Return the runs of a row beyond its whiskers that a table shows, as small points."""
     label, runs = group.measured[number].label, group.measured[number].rows
     points = []
-    for place, run in enumerate(runs):
-        row, value = opens(number, place), run.error_of(metric)
+    for run in runs:
+        row, value = opens.get(id(run)), run.error_of(metric)
         if row is not None and value is not None:
             size = unit_of(metric)[1] * (abs(value) if log else value)
             if not box[0] <= size <= box[-1]:
@@ -81,22 +147,22 @@ def _beyond(group: Group, metric: str, number: int, box: Sequence[float], opens:
     return Series(label, sizes, [number] * len(sizes), text=texts, opens=rows, size=0.6)
 
 
-def by_frame(group: Group, metric: str, places: Sequence[str], opens: OpensOf | None = None) -> Panel:
+def by_frame(group: Group, metric: str, places: Sequence[str], opens: Opens | None = None) -> Panel:
     """Return median and range of the errors over the seeds of each of these frames; points open the worst run."""
     numbers = {place: number for number, place in enumerate(places)}
     series = []
     for row, measured in enumerate(group.measured):
         label, runs = measured.label, measured.rows
         by_place: dict[str, list[tuple[float, int]]] = {place: [] for place in places}
-        for place, run in enumerate(runs):
+        for run in runs:
             value = run.error_of(metric)
             if value is not None and run.place in by_place:
-                by_place[run.place].append((unit_of(metric)[1] * abs(value), place))
-        known = {place: sorted(values) for place, values in by_place.items() if values}
+                by_place[run.place].append((unit_of(metric)[1] * abs(value), id(run)))
+        known = {place: sorted(own, key=lambda one: one[0]) for place, own in by_place.items() if own}
         offset = 0.7 * ((row + 0.5) / len(group.measured) - 0.5)
         if known:
             spread = np.array([np.quantile([v for v, _ in values], (0, 0.5, 1)) for values in known.values()]).T
-            worst = [] if opens is None else [opens(row, values[-1][1]) for values in known.values()]
+            worst = [] if opens is None else [opens.get(values[-1][1]) for values in known.values()]
             at = [numbers[place] + offset for place in known]
             low, middle, high = spread.tolist()
             series.append(Series(label, middle, at, low=low, high=high, along="x", opens=worst))
@@ -132,7 +198,7 @@ def rounds(group: Group) -> list[Panel]:
 
 
 def _places(group: Group) -> list[str]:
-    return list(dict.fromkeys(place for row in group.measured for place in row.places))
+    return list(dict.fromkeys(run.place for row in group.measured for run in row.rows))
 
 
 # ---- figures in files
@@ -143,22 +209,14 @@ def figure_names(summaries: Sequence[Summary]) -> list[tuple[str, ...]]:
 
     Names are distinct and valid on every file system, for any names of studies in a foreign store.
     """
-    stems = distinct_names([summary.name for summary in summaries])
     taken: set[str] = set()
     names_of_groups = []
     for summary in summaries:
-        names = []
-        for number in range(1, len(summary.groups) + 1):
-            stem = stems[summary.name]
-            name = wanted = stem if len(summary.groups) == 1 else f"{stem}-{number}"
-            # The first group of a study "a" may clash with a study "a-1".
-            for again in itertools.count(2):
-                if name.lower() not in taken:
-                    break
-                name = f"{wanted}_{again}"
-            taken.add(name.lower())
-            names.append(name)
-        names_of_groups.append(tuple(names))
+        numbers = range(1, len(summary.groups) + 1)
+        wanted = [summary.name] if len(numbers) == 1 else [f"{summary.name}-{number}" for number in numbers]
+        names = tuple(distinct_names(wanted, taken).values())
+        taken.update(names)
+        names_of_groups.append(names)
     return names_of_groups
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -103,7 +103,10 @@ def draw_all(
     images = OverlayImages()
     done = 0
     # Grouped by recipe, then frame, so that each frame is read and its features are extracted once.
-    for own in _by_recipe(wanted):
+    by_recipe: dict[tuple[str, int], list[Wanted]] = {}
+    for w in wanted:
+        by_recipe.setdefault((w.run.dataset, id(w.run.method)), []).append(w)
+    for own in by_recipe.values():
         text = text_of[own[0].run.dataset]
         source = _opened(text, own[0].run, registry)
         _check_names(own, text, source.dataset.names)
@@ -113,8 +116,7 @@ def draw_all(
             for w in own:
                 if w.frame == name:
                     done += 1
-                    _check_content(w, source.digest(frame))
-                    images.add(w, *source.drawn(w.run, frame))
+                    images.add(w, *source.drawn(w, frame))
     return images
 
 
@@ -123,19 +125,10 @@ def drawn_run(run: Row, text: str, registry: Registry) -> tuple[Frame, UInt8, UI
 
     `text` is the data, such as "synthetic:". Raises InputError if they lack the frame, and as `Recipe.resolve`.
     """
-    source = _opened(text, run, registry)
-    _check_names([Wanted(run, run.frames[0])], text, source.dataset.names)
-    frame = source.frame(run.frames[0])
-    _check_content(Wanted(run, run.frames[0]), source.digest(frame))
-    return frame, *source.drawn(run, frame)
-
-
-def _by_recipe(wanted: Sequence[Wanted]) -> Iterable[list[Wanted]]:
-    """Group requests by dataset and recipe, ignoring frames and initial guesses."""
-    by_recipe: dict[tuple[str, int], list[Wanted]] = {}
-    for w in wanted:
-        by_recipe.setdefault((w.run.dataset, id(w.run.method)), []).append(w)
-    return by_recipe.values()
+    source, wanted = _opened(text, run, registry), Wanted(run, run.frames[0])
+    _check_names([wanted], text, source.dataset.names)
+    frame = source.frame(wanted.frame)
+    return frame, *source.drawn(wanted, frame)
 
 
 @dataclass(frozen=True)
@@ -151,14 +144,17 @@ class _Source:
         frame: Frame = self.dataset[self.dataset.names.index(name)]
         return frame
 
-    def digest(self, frame: Frame) -> str:
-        """Return the digest of a frame as rows have it."""
-        identity = self.identity(self.dataset.names.index(frame.name))
-        digests = content_digests(frame) if identity is None else identity.content_digests
-        return frame_digest(digests, frame.camera_from_lidar)
+    def drawn(self, wanted: Wanted, frame: Frame) -> tuple[UInt8, UInt8]:
+        """Return the overlays at the initial guess and at the estimate of a run.
 
-    def drawn(self, run: Row, frame: Frame) -> tuple[UInt8, UInt8]:
-        """Return the overlays at the initial guess and at the estimate of a run."""
+        Raises InputError if the frame differs from that of the run.
+        """
+        run, identity = wanted.run, self.identity(self.dataset.names.index(frame.name))
+        digests = content_digests(frame) if identity is None else identity.content_digests
+        known = next(known for known in run.case.frames if known.name == wanted.frame)
+        if known.content != frame_digest(digests, frame.camera_from_lidar):
+            hint = "give the data of the study, run the study again, or leave out --data"
+            raise InputError("this frame differs from that of the study", where=wanted.frame, hint=hint)
         assert run.pose is not None
         assert run.start is not None
         return self._at(frame, run.start), self._at(frame, run.pose)
@@ -218,14 +214,4 @@ def _check_names(wanted: Sequence[Wanted], text: str, names: Sequence[str]) -> N
             expected=f"{absent[0]}{', ...' if len(absent) > 1 else ''}",
             got=f"{len(names)} frames such as {names[0]}" if names else "no frames",
             hint="give the data of the study, or leave out --data",
-        )
-
-
-def _check_content(wanted: Wanted, digest: str) -> None:
-    known = next(known for known in wanted.run.case.frames if known.name == wanted.frame)
-    if known.content != digest:
-        raise InputError(
-            "this frame differs from that of the study",
-            where=wanted.frame,
-            hint="give the data of the study, run the study again, or leave out --data",
         )

@@ -5,9 +5,9 @@ from __future__ import annotations
 import itertools
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,20 +20,31 @@ from p2o.results.verdict import Trust
 
 from p2o_study.report import figures
 from p2o_study.report.overlays import OverlayImages
-from p2o_study.report.series import RULE, differ_much
 from p2o_study.report.worst import error_rank, outcome_text, worst_run
-from p2o_study.row import METRICS, NORMS, Row
-from p2o_study.statistics import Comparison, Statistics, brief_seconds, trust_text
+from p2o_study.row import METRICS, Row
+from p2o_study.statistics import Statistic, Statistics, trust_text
 from p2o_study.study import Published
 from p2o_study.summary import Group, Summary
-from p2o_study.tables import DIGITS, NONE, NOTES, best, name_of, predicted_text, shown, unit_of
+from p2o_study.tables import (
+    NONE,
+    NOTES,
+    RUN_COLUMNS,
+    STATISTICS,
+    VERDICT,
+    error_cell,
+    figures_of,
+    in_unit,
+    leads,
+    name_of,
+    pair_columns,
+    unit_of,
+)
 
 _RUN_BYTES = 1_500_000
 """Maximum size of the single runs on the page, as JSON; about 1,000 runs."""
 _MOST_ROWS = 400
 _MOST_POINTS = 2000
 """Maximum number of points of the plot of errors by frame: rows times frames."""
-_VERDICT = Column("verdict", text=True, hide=2, order=list(Trust), looks=html.TRUST_LOOKS)
 
 
 # ---- what the page shows of a row, of a pair of rows and of a run
@@ -42,6 +53,8 @@ _VERDICT = Column("verdict", text=True, hide=2, order=list(Trust), looks=html.TR
 def row_columns(group: Group, summary: Summary) -> list[Column]:
     """Return the columns of the rows of a group; most are empty for published rows."""
     metrics = [(metric, None) for metric in summary.norms] + [(metric, "by axis") for metric in summary.axes]
+    verdict = Column("verdict", text=True, hide=3, of=lambda row: cell(row.trusted, trust_text(row.trust)))
+    figures = (figure.column for figure in figures_of(group.measured, _NOT_ON_PAGE))
     return [
         Column("row", text=True, hide=0, of=_label),
         *(
@@ -53,123 +66,48 @@ def row_columns(group: Group, summary: Summary) -> list[Column]:
                 of=partial(_figure, group=group, metric=metric, statistic=statistic),
             )
             for metric, option in metrics
-            for statistic in ("mean", "median")
+            for statistic in STATISTICS
         ),
-        _measured("verdict", 3, lambda row: _counts(row.trusted, trust_text(row.trust))),
-        _measured("false accepts", 3, lambda row: row.false_accepts if row.judged else None),
-        _measured("outside 95 %", 3, lambda row: row.outside_95 if row.judged else None),
-        _measured("predicted 67 %", 4, _predicted),
-        _measured("coverage 67 %", 4, lambda row: _covered(row, "rotation_deg", row.coverage.text_67)),
-        _measured("coverage 95 %", 4, lambda row: _covered(row, "rotation_deg_95", row.coverage.text_95)),
-        _measured(f"within {summary.within}", 3, lambda row: row.reached),
-        _measured("worse than start", 4, lambda row: row.worse if summary.within else None),
-        _measured("not moved", 4, lambda row: row.unmoved or None),
-        _measured("runs", 3, lambda row: row.count),
-        _measured("frames", 5, lambda row: row.frames),
-        _measured("not solved", 3, lambda row: cell(sum(row.failures.values()), _failures(row))),
+        *(replace(column, of=partial(_measured, column)) for column in (verdict, *figures)),
         Column("start", text=True, hide=6, of=_starts),
-        _measured("time [s]", 5, lambda row: _counts(row.seconds, brief_seconds(row.seconds))),
     ]
 
 
-def _measured(name: str, hide: int, of: Callable[[Statistics], Any]) -> Column:
-    """Return a column that is empty for published rows."""
-    text = name in ("verdict", "not solved")
-    return Column(name, text=text, hide=hide, of=lambda row: None if isinstance(row, Published) else of(row))
+_NOT_ON_PAGE = {"start", "groups", *Trust}
+
+
+def _measured(column: Column, row: Statistics | Published) -> Any:
+    """Return the cell of a measured row, None of a published one."""
+    return None if isinstance(row, Published) or column.of is None else column.of(row)
 
 
 def _label(row: Statistics | Published) -> Any:
     return cell(row.label, below=f"published: {row.source}") if isinstance(row, Published) else row.label
 
 
-def _failures(row: Statistics) -> str:
-    return ", ".join(f"{count} {status}" for status, count in row.failures.items()) or "0"
-
-
 def _starts(row: Statistics | Published) -> str:
     return row.start or NONE if isinstance(row, Published) else ", ".join(row.protocols) or NONE
 
 
-def _covered(row: Statistics, name: str, text: str) -> Any:
-    return _counts(row.coverage.within[name], text)
-
-
-def _predicted(row: Statistics) -> Any:
-    angle, _, length = predicted_text(row).partition(" deg ")
-    size = next(iter(row.predicted.values()), None)
-    return None if size is None else cell(brief(size), f"{angle} deg" if length else angle, length or None)
-
-
-def _counts(number: float, text: str) -> Any:
-    return None if text == NONE else cell(brief(number), text)
-
-
-def _figure(row: Statistics | Published, group: Group, metric: str, statistic: str) -> Any:
+def _figure(row: Statistics | Published, group: Group, metric: str, statistic: Statistic) -> Any:
     """Return the error of a row with its interval; the best ones of the complete rows of a group are bold."""
-    factor = unit_of(metric)[1]
     if isinstance(row, Published):
-        return brief(factor * row.values[metric]) if statistic == "mean" and metric in row.values else None
-    value = row.mean(metric) if statistic == "mean" else row.median(metric)
-    if value is None:
-        return None
-    first = best(group.measured, metric, "mean" if statistic == "mean" else "median")
-    leads = row.complete and first is not None and round(value.value, DIGITS) == first
-    ends = [None if end is None else factor * end for end in (value.value, value.low, value.high)]
-    return html.interval(ends, "strong" if leads else None)
-
-
-def pair_columns(summary: Summary) -> list[Column]:
-    """Return the columns of comparisons of two rows."""
-    other = " (other start)"
-    columns = [
-        Column("row", text=True, hide=0, of=lambda pair: pair.row),
-        Column("against", text=True, hide=0, of=lambda pair: pair.against + other * pair.other_start),
-    ]
-    for metric in summary.norms:
-        name, unit = name_of(metric), unit_of(metric)[0]
-        columns.append(Column(f"{name} median difference", unit, of=partial(_difference, metric=metric)))
-        columns.append(Column(f"{name} better", hide=2, of=partial(_better, metric=metric)))
-    return [*columns, Column("pairs", hide=3, of=lambda pair: pair.pairs)]
-
-
-def _difference(pair: Comparison, metric: str) -> Any:
-    if metric not in pair.differences:
-        return None
-    median = pair.differences[metric].median
-    return cell(brief(median.value), *shown(median, metric, sign=True).split(" ", 1))
-
-
-def _better(pair: Comparison, metric: str) -> Any:
-    difference = pair.differences.get(metric)
-    if difference is None:
-        return None
-    tied = f" ({100 * difference.tied:.0f} % tied)" if difference.tied else ""
-    return cell(brief(difference.better), f"{100 * difference.better:.0f} %{tied}")
+        return in_unit(row.values.get(metric), metric) if statistic == "mean" else None
+    return error_cell(row, metric, statistic, "strong" if leads(row, group.measured, metric, statistic) else None)
 
 
 def run_columns(images: OverlayImages) -> list[Column]:
     """Return the columns of runs; ▣ marks runs with overlays."""
     drawn = {key for key, _ in images.of}
-    hides = {metric: 2 if metric in NORMS else 5 for metric in METRICS}
+    frame, *others = RUN_COLUMNS
     return [
         Column("row", text=True, hide=0, of=lambda run: run.row),
-        Column("frame", text=True, hide=0, of=lambda run: f"{run.place}{' ▣' * (run.key in drawn)}"),
-        Column("seed", hide=4, of=lambda run: run.seed),
+        replace(frame, of=lambda run: f"{run.place}{' ▣' * (run.key in drawn)}"),
+        *others,
         Column("start", text=True, hide=6, of=lambda run: run.protocol),
-        Column("status", text=True, hide=3, of=lambda run: run.status if run.solved else cell(run.status, look="bad")),
-        replace(_VERDICT, hide=1, of=lambda run: run.trust),
-        *(
-            Column(name_of(metric), *unit_of(metric)[::2], hide=hide, of=partial(_error, metric=metric))
-            for metric, hide in hides.items()
-        ),
         Column("matches", hide=4, of=lambda run: sum(run.matches.values()) or None),
         Column("overlays", text=True, off=True, of=lambda run: "yes" if run.key in drawn else "no"),
     ]
-
-
-def _error(run: Row, metric: str) -> float | None:
-    value = run.error_of(metric)
-    return None if value is None else brief(unit_of(metric)[1] * value)
 
 
 def run_blocks(run: Row, images: OverlayImages, shared: html.Shared) -> Iterator[Block]:
@@ -251,25 +189,13 @@ def page(summaries: Sequence[Summary], images: OverlayImages) -> str:
         )
         for summary, own in zip(summaries, chosen, strict=True)
     }
-    notes = [html.text(note, "quiet") for note in (*NOTES, RULE)]
+    notes = [html.text(note, "quiet") for note in (*NOTES, figures.RULE)]
     title = summaries[0].title if len(summaries) == 1 else "p2o report"
     return html.page(title, [html.choice("study", studies), html.section("How to read it", *notes)], shared=shared)
 
 
-@dataclass(eq=False)
-class _Runs:
-    """The runs of a group on the page: (row, place in the row) to the run and what it opens."""
-
-    taken: dict[tuple[int, int], tuple[Row, dict[str, Any]]] = field(default_factory=dict)
-
-    def number(self, row: int, place: int) -> int | None:
-        """Return the place of a run in the table, None if it is not on the page."""
-        return self.numbers.get((row, place))
-
-    @cached_property
-    def numbers(self) -> Mapping[tuple[int, int], int]:
-        """The places in the table, once all runs are chosen."""
-        return {place: number for number, place in enumerate(sorted(self.taken))}
+Opened = dict[int, dict[str, Any]]
+"""What the runs of a group on the page open, by the id of the run."""
 
 
 def _with_first_rows(summaries: Sequence[Summary]) -> list[Summary]:
@@ -289,41 +215,41 @@ def _with_first_rows(summaries: Sequence[Summary]) -> list[Summary]:
     return [summary for summary in out if summary.groups]
 
 
-def _chosen_runs(summaries: Sequence[Summary], images: OverlayImages, shared: html.Shared) -> list[list[_Runs]]:
+def _chosen_runs(summaries: Sequence[Summary], images: OverlayImages, shared: html.Shared) -> list[list[Opened]]:
     """Return the runs on the page: the worst run of each row, then the next worst of each, up to `_RUN_BYTES`."""
-    chosen = [[_Runs() for _ in summary.groups] for summary in summaries]
+    chosen = [[Opened() for _ in summary.groups] for summary in summaries]
     drawn = {key for key, _ in images.of}
     queues = []
     for own, summary in zip(chosen, summaries, strict=True):
-        for runs, group in zip(own, summary.groups, strict=True):
-            for row, some in enumerate(measured.rows for measured in group.measured):
-                order = sorted(range(len(some)), key=lambda i: error_rank(some[i]), reverse=True)
+        for opened, group in zip(own, summary.groups, strict=True):
+            for measured in group.measured:
+                order = sorted(measured.rows, key=error_rank, reverse=True)
                 # The worst run of a row is always its first, those with overlays are next.
-                order[1:] = sorted(order[1:], key=lambda i: some[i].key not in drawn)
-                queues.append([(runs, row, place, some[place]) for place in order])
+                order[1:] = sorted(order[1:], key=lambda run: run.key not in drawn)
+                queues.append([(opened, run) for run in order])
     left = _RUN_BYTES
-    turns = (entry for turn in itertools.zip_longest(*queues) for entry in turn if entry is not None)
-    for runs, row, place, run in turns:
+    for opened, run in (entry for turn in itertools.zip_longest(*queues) for entry in turn if entry is not None):
         before = shared.size
-        opened = html.detail(f"{run.row}, {run.place}, seed {run.seed}", *run_blocks(run, images, shared))
-        left -= len(html.plain_json(opened)) + shared.size - before
+        detail = html.detail(f"{run.row}, {run.place}, seed {run.seed}", *run_blocks(run, images, shared))
+        left -= len(html.plain_json(detail)) + shared.size - before
         if left < 0:
             break
-        runs.taken[row, place] = (run, opened)
+        opened[id(run)] = detail
     return chosen
 
 
-def _study(summary: Summary, chosen: Sequence[_Runs], images: OverlayImages, title: str) -> list[Block]:
+def _study(summary: Summary, chosen: Sequence[Opened], images: OverlayImages, title: str) -> list[Block]:
     note = " ".join([summary.note, *(f"{line}." for line in summary.pooled)]).strip()
     groups = {
-        group.heading or f"rows {number}": _group(group, summary, runs, images)
-        for number, (group, runs) in enumerate(zip(summary.groups, chosen, strict=True), 1)
+        group.heading or f"rows {number}": _group(group, summary, opened, images)
+        for number, (group, opened) in enumerate(zip(summary.groups, chosen, strict=True), 1)
     }
     return [html.section(title, html.text(note, "quiet"), html.choice("rows", groups))]
 
 
-def _group(group: Group, summary: Summary, chosen: _Runs, images: OverlayImages) -> list[Block]:
-    taken = [chosen.taken[place] for place in chosen.numbers]
+def _group(group: Group, summary: Summary, opened: Opened, images: OverlayImages) -> list[Block]:
+    taken = [run for row in group.measured for run in row.rows if id(run) in opened]
+    numbers = {id(run): number for number, run in enumerate(taken)}
     opens = [None if isinstance(row, Published) else html.rows_of("runs", row=row.label) for row in group.rows]
     looks = ["published" if isinstance(row, Published) else None for row in group.rows]
     some = len(group.rows) > 30
@@ -336,9 +262,9 @@ def _group(group: Group, summary: Summary, chosen: _Runs, images: OverlayImages)
                 "quiet",
             ),
         ),
-        _worst(group, chosen, images),
+        _worst(group, numbers, images),
         html.section(
-            "Errors", html.choice("of", {_named(metric): _errors(group, metric, chosen) for metric in METRICS})
+            "Errors", html.choice("of", {_named(metric): _errors(group, metric, numbers) for metric in METRICS})
         ),
     ]
     panels = figures.rounds(group)
@@ -350,7 +276,7 @@ def _group(group: Group, summary: Summary, chosen: _Runs, images: OverlayImages)
         blocks.append(
             html.section(
                 "Paired comparisons of rows",
-                html.table(pair_columns(summary), group.comparisons, name="pairs"),
+                html.table(pair_columns(summary.norms), group.comparisons, name="pairs"),
                 html.text(rule, "quiet"),
             )
         )
@@ -360,31 +286,29 @@ def _group(group: Group, summary: Summary, chosen: _Runs, images: OverlayImages)
         counted += f", the worst of each row; all {total} runs are in {summary.name}.jsonl"
     runs = html.table(
         run_columns(images),
-        [run for run, _ in taken],
+        taken,
         name="runs",
         search=True,
         filters=["row", "status", "verdict", "overlays"],
-        opens=[opened for _, opened in taken],
+        opens=[opened[id(run)] for run in taken],
         counted=counted,
     )
     return [*blocks, html.section("Runs", runs)]
 
 
-def _worst(group: Group, chosen: _Runs, images: OverlayImages) -> Block:
+def _worst(group: Group, numbers: Mapping[int, int], images: OverlayImages) -> Block:
     """Return the worst run of each row with its outcome in words, and its overlays."""
     rows, opens, drawn = [], [], []
-    for row, (label, runs) in enumerate((measured.label, measured.rows) for measured in group.measured):
-        place = runs.index(worst_run(runs)) if runs else -1
-        number = chosen.number(row, place)
-        if number is not None:
-            run, _ = chosen.taken[row, place]
-            rows.append([label, outcome_text(run), run.trust, f"{run.place}, seed {run.seed}"])
-            opens.append(html.row_of("runs", number))
-            drawn += [html.part(label, one) for one in overlays_of(run, images)[:1]]
+    for measured in group.measured:
+        run = worst_run(measured.rows) if measured.rows else None
+        if run is not None and id(run) in numbers:
+            rows.append([measured.label, outcome_text(run), run.trust, f"{run.place}, seed {run.seed}"])
+            opens.append(html.row_of("runs", numbers[id(run)]))
+            drawn += [html.part(measured.label, one) for one in overlays_of(run, images)[:1]]
     columns = [
         Column("row", text=True, hide=0),
         Column("outcome", text=True, hide=0),
-        _VERDICT,
+        replace(VERDICT, of=None),
         Column("frame", text=True, hide=3),
     ]
     hint = [] if images.uris else [html.text("Overlays need the data: p2o report DIR --data DATASET:PATH", "quiet")]
@@ -392,16 +316,16 @@ def _worst(group: Group, chosen: _Runs, images: OverlayImages) -> Block:
     return html.section("The worst run of each row", table, *([html.grid(*drawn)] if drawn else hint))
 
 
-def _errors(group: Group, metric: str, chosen: _Runs) -> list[Block]:
+def _errors(group: Group, metric: str, numbers: Mapping[int, int]) -> list[Block]:
     """Return the plots of a metric: of all runs, on a linear or logarithmic axis, and by frame."""
     note = "All runs: quartiles, whiskers of 1.5 interquartile ranges, single points beyond for the runs below."
     scales = {}
     for name, log in (("linear", False), ("logarithmic: sizes without signs", True)):
-        boxes = figures.boxes(group, metric, log=log, opens=chosen.number)
+        boxes = figures.boxes(group, metric, log=log, opens=numbers)
         scales[name] = [plot([replace(boxes, note=note)])]
-    first = differ_much(figures.errors_of(row, metric) for row in group.measured)
+    first = figures.differ_much(figures.errors_of(row, metric) for row in group.measured)
     note = "Median and range over the seeds by frame. Of many frames, those with the largest errors."
-    frames = replace(figures.by_frame(group, metric, _largest(group), chosen.number), note=note)
+    frames = replace(figures.by_frame(group, metric, _largest(group), numbers), note=note)
     return [html.grid(html.choice("scale", scales, first=int(first)), plot([frames]))]
 
 
