@@ -134,7 +134,7 @@ def test_weights_that_are_missing_fail(
     status, said = found(capsys, "--quick")
     assert status == 1
     assert named(said, "weights")["state"] == "BAD"
-    assert "no weights file" in named(said, "weights")["detail"]
+    assert "unknown weights 'free'" in named(said, "weights")["detail"]
 
 
 def test_a_street_that_is_solved_wrongly_fails(

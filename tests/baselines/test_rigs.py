@@ -35,7 +35,7 @@ def test_every_rig_that_is_there_has_its_rows_and_the_others_none(tmp_path: Path
     assert (cloud.offer.name, cloud.options.origin_m) == ("range-view", (1.65, 0.0, 1.35))
     assert rows["single @ nuscenes"].resolve(REGISTRY, 0).parts["cloud"].offer.name == "rings"
     assert (
-        rows["single, free weights @ nuscenes"].resolve(REGISTRY, 0).parts["extractor"].options.weights == "synthetic"
+        rows["single, free weights @ nuscenes"].resolve(REGISTRY, 0).parts["extractor"].options.weights == "free"
     )
 
 

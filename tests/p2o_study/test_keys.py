@@ -127,7 +127,7 @@ def test_every_method_that_locates_its_package_declares_its_data_files(registry:
     methods = [offer.method for offer in registry.offers if offer.kind is not p2o.Kind.DATASET]
     code = {method.name: (method, code_of(method, method.options)) for method in methods}
     locating = {name for name, (_, own) in code.items() if own.locates_files and not own.resolves_methods}
-    assert {"p2ornet", "hed", "calibnet", "picked"} <= locating
+    assert {"p2ornet", "hed", "picked"} <= locating
     assert [name for name in locating if code[name][0].data_files is None] == []
 
 

@@ -369,7 +369,7 @@ def test_a_training_begins_from_the_weights_it_is_told(trained: Path, made: Path
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["from_weights=kity"], "unknown weights 'kity'; expected one of: kitti, synthetic"),
+        (["from_weights=kity"], "p2ornet: unknown weights 'kity'; expected one of: free, kitti"),
         (["from_weights=kitti", "encoder=resnet50"], "of another network"),
     ],
 )

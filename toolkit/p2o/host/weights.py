@@ -39,7 +39,7 @@ def weights_of(
                 return Weights(path, f"{name}: {terms}")
             names.add(path.stem.removeprefix(f"{method}-"))
     path = expanded(name)
-    if not path.is_file():
+    if not path.exists():
         more = f"; {hint}" if hint else ""
         raise UnknownNameError("weights", name, names, where=method, hint=f"or the path of a {_SUFFIX} file{more}")
     return Weights(path, f"{path.name}: the terms of its training data apply")
