@@ -29,6 +29,8 @@ _UNIT_DEG = 0.5  # rotation equivalent to `_UNIT_M`
 _UNIT_M = 0.03  # translation equivalent to `_UNIT_DEG`
 _FIRST = 0.25  # length of the first step, in units
 _LONGEST = 1.0  # largest length of a step, in units
+_MAX_ITERATIONS = 300  # largest number of steps of a descent, including rejected ones
+_TOLERANCE = 1e-5  # stop if a step is shorter than this, in units
 
 
 class BarzilaiBorweinOptions(p2o.Options):
@@ -40,16 +42,10 @@ class BarzilaiBorweinOptions(p2o.Options):
         help="Steps [[deg, m], ...] of derivatives by differences, with each of which a descent is made before that "
         "with the gradient; [] for none.",
     )
-    box_deg: float = p2o.field(0.0, ge=0, le=90, help="Bound of each rotation from the initial pose; 0 for no bound.")
-    box_m: float = p2o.field(0.0, ge=0, le=100, help="Bound of each translation from the initial pose; 0 for no bound.")
-    max_iterations: int = p2o.field(300, ge=1, help="Largest number of steps of a descent, including rejected ones.")
-    tolerance: float = p2o.field(1e-5, gt=0, help="Stop if a step is shorter than this, in units.")
 
 
 def build(options: BarzilaiBorweinOptions) -> p2o.Solver:
     """Return the solver `(Problem, camera_from_lidar (4, 4)) -> Solution`."""
-    reach = np.repeat([options.box_deg / _UNIT_DEG, options.box_m / _UNIT_M], 3)
-    reach[reach == 0] = np.inf
 
     def minimise(cost: ScalarCost) -> p2o.Solution:
         x, iterations, converged = np.zeros(6), 0, False
@@ -63,13 +59,13 @@ def build(options: BarzilaiBorweinOptions) -> p2o.Solver:
         """Return where a descent from x (6,) ends, the number of its steps, and whether it converged."""
         lowest, slope = cost.one(x), gradient(x)
         gamma = _FIRST / max(float(np.linalg.norm(slope)), np.finfo(float).tiny)
-        for iteration in range(1, options.max_iterations + 1):
+        for iteration in range(1, _MAX_ITERATIONS + 1):
             step = -gamma * slope
             length = float(np.linalg.norm(step))
             step *= min(1.0, _LONGEST / max(length, np.finfo(float).tiny))
-            trial = np.clip(x + step, -reach, reach)
+            trial = x + step
             step = trial - x
-            if np.linalg.norm(step) < options.tolerance:
+            if np.linalg.norm(step) < _TOLERANCE:
                 return x, iteration, True
             trial_cost = cost.one(trial)
             if not trial_cost < lowest:
@@ -79,7 +75,7 @@ def build(options: BarzilaiBorweinOptions) -> p2o.Solver:
             bend = float(step @ (ahead - slope))
             gamma = float(step @ step) / bend if bend > 0 else 2 * gamma
             x, lowest, slope = trial, trial_cost, ahead
-        return x, options.max_iterations, False
+        return x, _MAX_ITERATIONS, False
 
     return scalar_solver(minimise, _UNIT_DEG, _UNIT_M)
 

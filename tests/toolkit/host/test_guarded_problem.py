@@ -365,7 +365,6 @@ def test_a_frame_that_fails_in_a_problem_or_judge_ends_alone(in_judge: bool, mon
         solver="nelder-mead",
         init="given",
         witness="none",
-        options={"solver": {"max_evaluations": 200}},
         start=stage.camera_from_lidar() @ p2o.se3.exp(np.full(6, 0.01)),
     )
     statuses = [row.result.status for row in run.rows]
