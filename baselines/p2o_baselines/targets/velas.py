@@ -24,6 +24,7 @@ from p2o import Float, Result, Status, se3
 from p2o.solving import Judged
 
 from p2o_baselines import examples
+from p2o_baselines.boards.adjustment import CAMERA_PX, RANGE_BIAS_M
 from p2o_baselines.boards.board_method import REMEDY, BoardMethod, hole_sight_of, off_m
 from p2o_baselines.edges.idt import NEIGHBOURS
 from p2o_baselines.edges.inverse_distance import OnMap, edge_strength, inverse_distance
@@ -99,8 +100,8 @@ class Velas:
     def _shared(self, prepared: Sequence[Scene]) -> Float:
         """Return the covariance (6, 6) of errors that all edges share: of the camera's calibration."""
         focal = float(np.median([scene.camera.focal_px for scene in prepared]))
-        turn = self.options.camera_px / focal
-        return np.diag([turn, turn, turn, self.options.range_bias_m, self.options.range_bias_m, 3 * turn]) ** 2
+        turn = CAMERA_PX / focal
+        return np.diag([turn, turn, turn, RANGE_BIAS_M, RANGE_BIAS_M, 3 * turn]) ** 2
 
 
 def on_map(scene: Scene, camera_from_lidar: Float, most: int) -> OnMap:
