@@ -8,8 +8,6 @@ import numpy as np
 import p2o
 from p2o import field
 
-_BILATERAL_SIGMA = 75.0  # deviation of the bilateral filter in pixels, and in grey levels of 255
-
 
 class GreyOptions(p2o.Options):
     """Options of `grey`."""
@@ -18,7 +16,6 @@ class GreyOptions(p2o.Options):
         "none",
         help="Make grey values equally frequent: over the whole image, or in tiles with limited contrast (CLAHE).",
     )
-    bilateral_px: int = field(0, ge=0, le=51, help="Diameter of a bilateral filter, which keeps outlines; 0: none.")
     blur_sigma_px: float = field(1.0, ge=0, le=50, help="Width of the final Gaussian blur; 0 for none.")
 
 
@@ -27,8 +24,6 @@ def extract(image: p2o.Image, options: GreyOptions) -> p2o.ImageFeatures:
     import cv2
 
     grey = np.array(image.grey, np.uint8)
-    if options.bilateral_px > 0:
-        grey = cv2.bilateralFilter(grey, options.bilateral_px, _BILATERAL_SIGMA, _BILATERAL_SIGMA)
     if options.equalise == "histogram":
         grey = cv2.equalizeHist(grey)
     elif options.equalise == "local":
@@ -45,5 +40,5 @@ METHOD = p2o.Method(
     options=GreyOptions,
     summary="Grey values of every pixel, on demand equalised and smoothed.",
     gives={"image-grey"},
-    cite="Tomasi and Manduchi, Bilateral filtering, ICCV 1998; Zuiderveld, CLAHE, Graphics Gems IV, 1994",
+    cite="Zuiderveld, CLAHE, Graphics Gems IV, 1994",
 )
