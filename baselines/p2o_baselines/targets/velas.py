@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 import p2o
@@ -26,7 +27,6 @@ from p2o.solving import Judged
 from p2o_baselines import examples
 from p2o_baselines.boards.adjustment import CAMERA_PX, RANGE_BIAS_M
 from p2o_baselines.boards.board_method import REMEDY, BoardMethod, hole_sight_of, off_m
-from p2o_baselines.edges.idt import NEIGHBOURS
 from p2o_baselines.edges.inverse_distance import OnMap, edge_strength, inverse_distance
 from p2o_baselines.edges.ring_discontinuity import ring_jumps
 from p2o_baselines.target_method import Sight, TargetOptions, accuracy_of, uncertainty
@@ -35,6 +35,7 @@ from p2o_baselines.targets.velo2cam import ALGORITHM
 _ALPHA, _GAMMA = 1 / 3, 0.9
 _STEPS = ((0.2, 0.02), (0.1, 0.01), (0.05, 0.005))  # deg and m; no end is surer than the middle ones
 _WALK = 12
+_NEIGHBOURS = np.array([step for step in product((-1.0, 0.0, 1.0), repeat=6) if any(step)])  # steps (728, 6)
 _SAMPLES, _PARTS = 8, 24  # number of resamplings of the jumps, and of the blocks of neighbours that are resampled
 _FINE_DEG = 1.5  # the fine search turns by no more than this about an axis
 _FINE_M = 0.1  # the fine search moves by no more than this along an axis
@@ -128,7 +129,7 @@ def best_pose(parts: Sequence[OnMap], pose: Float, centre: Float, steps: Sequenc
     """Return the pose of the most correlation that a walk with shrinking steps reaches, within bounds of `centre`."""
     most = np.repeat([np.radians(_FINE_DEG), _FINE_M], 3)
     for deg, metres in steps:
-        around = NEIGHBOURS * np.repeat([np.radians(deg), metres], 3)
+        around = _NEIGHBOURS * np.repeat([np.radians(deg), metres], 3)
         for _ in range(_WALK):
             # A turn about the camera that leaves the LiDAR where it is, and a shift.
             poses = np.concatenate([pose[None], _moved(pose, around)])
