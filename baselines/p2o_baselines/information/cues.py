@@ -146,7 +146,7 @@ def build(options: CuesOptions) -> p2o.Calibrator:
     return Cues(
         options,
         pipeline,
-        grey.METHOD.build(grey.METHOD.options()),
+        grey.extract,
         reflectance.METHOD.build(reflectance.METHOD.options()),
         mi.build(mi.MiOptions(bins=_BINS)),
     )

@@ -6,24 +6,19 @@ gradient. Unlike the original, the unknowns are in units (degrees against metres
 replaced by twice the last one. Public third-party code steps rotation and translation alternately.
 
 Costs of projected points are rough: their derivative at a point leads to the next of many minima. Descents with
-derivatives by differences over the steps of `schedule`, from coarse to fine, precede the descent with the gradient.
+derivatives by differences over the steps of `_SCHEDULE`, from coarse to fine, precede the descent with the gradient.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Annotated
 
 import numpy as np
 import p2o
 from p2o import Float
-from pydantic import Field
 
 from p2o_plugins.solve.scalar_cost import ScalarCost, scalar_solver
-
-Positive = Annotated[float, Field(gt=0, le=100)]
-
 
 _UNIT_DEG = 0.5  # rotation equivalent to `_UNIT_M`
 _UNIT_M = 0.03  # translation equivalent to `_UNIT_DEG`
@@ -31,25 +26,16 @@ _FIRST = 0.25  # length of the first step, in units
 _LONGEST = 1.0  # largest length of a step, in units
 _MAX_ITERATIONS = 300  # largest number of steps of a descent, including rejected ones
 _TOLERANCE = 1e-5  # stop if a step is shorter than this, in units
+_SCHEDULE = ((1.0, 0.1), (0.5, 0.05), (0.25, 0.025))
+"""Steps (deg, m) of derivatives by differences, with each of which a descent precedes that with the gradient."""
 
 
-class BarzilaiBorweinOptions(p2o.Options):
-    """Options of `barzilai-borwein`."""
-
-    schedule: tuple[tuple[Positive, Positive], ...] = p2o.field(
-        ((1.0, 0.1), (0.5, 0.05), (0.25, 0.025)),
-        max_length=20,
-        help="Steps [[deg, m], ...] of derivatives by differences, with each of which a descent is made before that "
-        "with the gradient; [] for none.",
-    )
-
-
-def build(options: BarzilaiBorweinOptions) -> p2o.Solver:
+def build(options: p2o.Options) -> p2o.Solver:
     """Return the solver `(Problem, camera_from_lidar (4, 4)) -> Solution`."""
 
     def minimise(cost: ScalarCost) -> p2o.Solution:
         x, iterations, converged = np.zeros(6), 0, False
-        for step in options.schedule:
+        for step in _SCHEDULE:
             x, spent, _ = descend(cost, x, partial(cost.differences, step_deg=step[0], step_m=step[1]))
             iterations += spent
         x, spent, converged = descend(cost, x, cost.gradient)
@@ -83,7 +69,6 @@ def build(options: BarzilaiBorweinOptions) -> p2o.Solver:
 METHOD = p2o.Method(
     name="barzilai-borwein",
     build=build,
-    options=BarzilaiBorweinOptions,
     summary="Gradient descent with Barzilai and Borwein's step length on any scalar cost.",
     needs={"objective"},
     cite="Barzilai and Borwein, IMA Journal of Numerical Analysis 8, 1988; Pandey et al., AAAI 2012",

@@ -195,7 +195,7 @@ def test_weights_frames_and_widths_are_checked_when_the_problem_is_posed(change:
     [
         (lambda pose: 1 / 0, "raised ZeroDivisionError while computing its covariance"),
         (lambda pose: np.eye(5), r"covariance returned shape \(5, 5\)"),
-        (lambda pose: np.full((6, 6), np.nan), "covariance returned shape"),
+        (lambda pose: np.full((6, 6), np.nan), "covariance returned NaN or infinity"),
     ],
 )
 def test_the_covariance_of_an_objective_is_checked(covariance: Callable[[Any], Any], message: str) -> None:
