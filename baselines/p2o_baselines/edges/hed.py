@@ -47,12 +47,10 @@ class HedOptions(p2o.Options):
 
 def build(options: HedOptions) -> p2o.ImageExtractor:
     """Return the extractor. Raises MethodUnavailable without h5py or weights, InputError for others or low > high."""
-    import torch
+    from p2o_baselines.learned.device import device_of
 
     check_thresholds(options.low, options.high, "hed")
-    device = options.device if options.device != "auto" else "cuda" if torch.cuda.is_available() else "cpu"
-    if device.startswith("cuda") and not torch.cuda.is_available():
-        raise p2o.InputError("no GPU is available", where="hed", expected="device auto or cpu", got=options.device)
+    device = device_of(options.device)
     parameters = {name: value.to(device) for name, value in read_weights(_weights_file(options.weights)).items()}
 
     def extract(image: p2o.Image) -> p2o.ImageFeatures:

@@ -25,7 +25,6 @@ from typing import Literal
 import numpy as np
 import p2o
 from p2o import Float, Int, Result, Status, field
-from p2o.solving import has_gpu_driver
 
 from p2o_baselines import examples
 from p2o_baselines.information.histogram import by_rank
@@ -213,14 +212,9 @@ def pooled(parts: Sequence[FrameMatches], quarter: int) -> Matches:
 
 def _networks(options: MatchesOptions) -> KeypointMatcher:
     """Return the networks of the options. Raises MethodUnavailable without weights, InputError without the GPU."""
-    import torch
+    from p2o_baselines.learned.device import device_of
 
-    device = options.device
-    if device == "auto":
-        device = "cuda" if has_gpu_driver() and torch.cuda.is_available() else "cpu"
-    elif device != "cpu" and not torch.cuda.is_available():
-        raise p2o.InputError("no GPU is available", where="matches", expected="device auto or cpu", got=device)
-    return read_networks(options.features, _KEYPOINTS, device)
+    return read_networks(options.features, _KEYPOINTS, device_of(options.device))
 
 
 def build(options: MatchesOptions) -> p2o.Calibrator:

@@ -114,7 +114,8 @@ def median(poses: Float) -> Float:
 
 def build(design: Design, options: RegressorOptions, files: Sequence[Path]) -> StagedRegressor:
     """Return the calibrator with the weights of files; raises InputError if they cannot be read."""
-    from p2o_baselines.regressors.weights_file import device_of, read_weights
+    from p2o_baselines.learned.device import device_of
+    from p2o_baselines.regressors.weights_file import read_weights
 
     device = device_of(options.device)
     read = [read_weights(path, design) for path in files]
