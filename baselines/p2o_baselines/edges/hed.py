@@ -21,6 +21,7 @@ from p2o import Bool, Float, UInt8, field, occlusion
 from p2o.reading import expanded, read_bytes
 
 from p2o_baselines.edges.canny import check_thresholds
+from p2o_baselines.learned.device import device_of
 
 if TYPE_CHECKING:
     import torch
@@ -47,8 +48,6 @@ class HedOptions(p2o.Options):
 
 def build(options: HedOptions) -> p2o.ImageExtractor:
     """Return the extractor. Raises MethodUnavailable without h5py or weights, InputError for others or low > high."""
-    from p2o_baselines.learned.device import device_of
-
     check_thresholds(options.low, options.high, "hed")
     device = device_of(options.device)
     parameters = {name: value.to(device) for name, value in read_weights(_weights_file(options.weights)).items()}

@@ -38,6 +38,7 @@ from p2o_baselines.information.reflectance_view import (
     rendered,
     views_of,
 )
+from p2o_baselines.learned.device import device_of
 from p2o_baselines.learned.feature_networks import FEATURES, KeypointMatcher, Keypoints, files_of, read_networks
 from p2o_baselines.learned.matched_pose import MatchedPose, Matches, pose_of, rotations_of
 from p2o_baselines.start_by_calibrator import StartByCalibrator
@@ -212,8 +213,6 @@ def pooled(parts: Sequence[FrameMatches], quarter: int) -> Matches:
 
 def _networks(options: MatchesOptions) -> KeypointMatcher:
     """Return the networks of the options. Raises MethodUnavailable without weights, InputError without the GPU."""
-    from p2o_baselines.learned.device import device_of
-
     return read_networks(options.features, _KEYPOINTS, device_of(options.device))
 
 
