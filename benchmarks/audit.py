@@ -27,7 +27,6 @@ from typing import Any
 import numpy as np
 from limits_and_tables import add_row, read_rows, table
 from p2o.arrays import Float
-from p2o.calibration.options import PipelineOptions
 from p2o.confidence.audit import AXES, EdgeStep, Evidence, Rates, audit, edge_step
 from p2o.confidence.explanation import corrected
 from p2o.confidence.watch import CLIP, Rule, autocorrelation, watched
@@ -194,7 +193,7 @@ def judged(row: Mapping[str, Any]) -> Check:
     near = row["near"] if isinstance(row["near"], str) else step_of(row["near"])
     far = None if row["far"] is None else step_of(row["far"])
     evidence = Evidence(tuple(row["names"]), np.array(row["given"]), near, far, row["lead"])
-    return audit(evidence, PipelineOptions(), Rates())
+    return audit(evidence, Rates())
 
 
 @dataclass(frozen=True, eq=False)

@@ -249,7 +249,7 @@ class Row:
         if self.budget is None:
             return None
         accuracy = likely_accuracy(self.budget, self.pose, self.agreement, model)
-        return or_rival(accuracy, self.rival, PipelineOptions().min_lead_edges)
+        return or_rival(accuracy, self.rival)
 
 
 @dataclass(frozen=True, eq=False)

@@ -260,7 +260,7 @@ def test_a_recipe_from_json_repeats_the_run_to_the_last_bit(capsys: pytest.Captu
 
 
 def test_python_and_the_command_line_give_the_same_bytes(capsys: pytest.CaptureFixture[str]) -> None:
-    settings = ["solver.tolerance=1e-8", "init.population=200"]
+    settings = ["matcher.huber_px=1.5", "init.prior=5.0"]
     said: dict[str, Any] = {"extractor": "depth/rings", "perturb": "0.5deg 0.02m", "options": settings}
     here = p2o.calibrate(STAGE[-1], **said, registry=p2o.Registry.load(extra_files=[PLUGIN])).result
     words = ["run", *STAGE, "--extractor", "depth/rings", "--perturb", "0.5deg 0.02m", "--json"]
@@ -268,7 +268,7 @@ def test_python_and_the_command_line_give_the_same_bytes(capsys: pytest.CaptureF
     assert status == (0 if here.status.solved else 1)
     [row] = json.loads(capsys.readouterr().out)["results"]
     assert row["camera_from_lidar"] == here.camera_from_lidar.tolist()
-    assert row["recipe"]["options"]["solver"]["tolerance"] == 1e-8
+    assert row["recipe"]["options"]["matcher"]["huber_px"] == 1.5
 
 
 def test_the_likely_accuracy_is_said_and_may_be_required(capsys: pytest.CaptureFixture[str]) -> None:

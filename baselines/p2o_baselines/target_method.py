@@ -21,11 +21,9 @@ _WORST_M = 0.5  # refuse results less certain than this along any axis
 
 
 class TargetOptions(p2o.Options):
-    """Options of all methods with targets: search range and sensor errors."""
+    """Options of all methods with targets."""
 
     farthest_m: float = field(12.0, gt=0, le=200, help="Search targets up to this distance from the LiDAR.")
-    range_bias_m: float = field(0.01, ge=0, le=1, help="Deviation of an error of all ranges, for the predicted error.")
-    camera_px: float = field(0.5, ge=0, le=100, help="Deviation of the intrinsics in px, for the predicted error.")
 
 
 @dataclass(frozen=True)

@@ -39,8 +39,6 @@ def in_sweep(lidar_from_board: Float, target: HoleBoard = HOLES) -> HoleBoardInS
         0.0,
         target,
         np.diag([3e-3, 3e-3, 3e-3, 4e-3, 4e-3, 4e-3]) ** 2,
-        np.zeros((0, 3)),
-        np.zeros(0, np.int64),
     )
 
 

@@ -101,7 +101,7 @@ def test_a_point_counts_by_its_distance_from_the_mask(away_px, share):
     view = p2o.View(
         "a", CAMERA, p2o.ImageFeatures(features=[LanePoleMap(values)]), p2o.CloudFeatures(features=[points])
     )
-    problem = crlf.build(crlf.CrlfOptions(soft_px=6.0))([view], TRUTH, 10.0)
+    problem = crlf.build(crlf.METHOD.options())([view], TRUTH, 10.0)
     assert problem.cost(TRUTH[None])[0] == pytest.approx(-share)
 
 
@@ -109,7 +109,7 @@ def test_it_solves_a_road_with_lanes_and_poles():
     lanes, poles = (-3.5, 0.5, 3.5), [(9.0, 4.5), (12.0, -5.0), (16.0, 6.0), (20.0, -7.0)]
     image = lane_pole_image.build(p2o.Options())(picture(lanes, poles))
     cloud = lane_pole_cloud.METHOD.build(LanePoleCloudOptions())(road(lanes, poles))
-    problem = crlf.build(crlf.CrlfOptions())([p2o.View("road", CAMERA, image, cloud)], TRUTH, 10.0)
+    problem = crlf.build(crlf.METHOD.options())([p2o.View("road", CAMERA, image, cloud)], TRUTH, 10.0)
     from p2o_plugins.solve import random_shrink
 
     start = pose_from_chart(TRUTH, np.array([0.01, -0.012, 0.008, 0.03, -0.02, 0.03]))

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import p2o
 import pytest
-from p2o_baselines.edges.gmm import METHOD, Gmm, GmmOptions, Mixture, mixtures, scattered
+from p2o_baselines.edges import gmm
+from p2o_baselines.edges.gmm import METHOD, Gmm, Mixture, mixtures, scattered
 from p2o_testing import stage
 
 
@@ -39,12 +40,12 @@ def test_scattered_points_keep_their_weight_and_place() -> None:
     assert ((out * u).sum() / 2, (out * v).sum() / 2) == pytest.approx((3.25, 6.5))
 
 
-def test_the_order_of_edges_does_not_matter() -> None:
+def test_the_order_of_edges_does_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
     view, truth, rng = stage.view(), stage.camera_from_lidar(), np.random.default_rng(0)
     image, cloud = (edges.select(rng.permutation(len(edges))) for edges in (view.image_edges, view.cloud_edges))
     other = replace(view, image=view.image.having(image), cloud=view.cloud.having(cloud))
-    options = GmmOptions(max_points=1_000_000)
-    costs = [Mixture.of([v], truth, 2.0, options).cost(truth[None])[0] for v in (view, other)]
+    monkeypatch.setattr(gmm, "_MAX_POINTS", 1_000_000)
+    costs = [Mixture.of([v], truth, 2.0).cost(truth[None])[0] for v in (view, other)]
     assert costs[0] == pytest.approx(costs[1], rel=1e-12)
 
 
@@ -55,7 +56,7 @@ def test_equal_weights_of_the_image_are_the_special_case_of_unequal_ones() -> No
     near = [
         replace(view, image=view.image.having(replace(view.image_edges, weight=w))) for w in (weight, weight.round(6))
     ]
-    parts = [Mixture.of([v], truth, 2.0, GmmOptions()) for v in near]
+    parts = [Mixture.of([v], truth, 2.0) for v in near]
     assert [len(p.parts) for p in parts] == [2, 1]
     poses = p2o.se3.exp(np.array([[0, 0, 0, 0, 0, 0], [0.01, 0.02, 0, 0, 0.1, 0]])) @ truth
     first, second = (p.cost(poses) for p in parts)
@@ -67,7 +68,7 @@ def test_equal_weights_of_the_image_are_the_special_case_of_unequal_ones() -> No
 
 
 def test_the_width_shrinks_with_the_reach_down_to_its_limit() -> None:
-    match, view, truth = Gmm(GmmOptions()), stage.view(), stage.camera_from_lidar()
+    match, view, truth = Gmm(), stage.view(), stage.camera_from_lidar()
     aside = p2o.se3.exp(np.array([0.0, 0.02, 0, 0, 0, 0])) @ truth  # 6 px
     wide, narrow, least = (match([view], truth, reach).cost(aside[None])[0] for reach in (50.0, 10.0, 1.0))
     assert wide < narrow
@@ -76,7 +77,7 @@ def test_the_width_shrinks_with_the_reach_down_to_its_limit() -> None:
 
 
 def test_its_judge_is_its_own() -> None:
-    matcher, view, truth = METHOD.build(GmmOptions()), stage.view(), stage.camera_from_lidar()
+    matcher, view, truth = METHOD.build(METHOD.options()), stage.view(), stage.camera_from_lidar()
     judge = matcher.judge([view], truth, [truth])
     aside = p2o.se3.exp(np.array([0.0, 0.02, 0, 0, 0, 0])) @ truth
     right, wrong = judge.costs([truth, aside])

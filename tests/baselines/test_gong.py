@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from p2o import Status, pose_error, se3
 from p2o.arrays import Float
+from p2o_baselines.boards import adjustment
 from p2o_baselines.bodies.box_in_picture import Line, flat_at, intersection
 from p2o_baselines.bodies.box_in_sweep import Face
 from p2o_baselines.bodies.bundle import adjusted
@@ -112,7 +113,7 @@ def test_one_view_leaves_the_place_along_the_ray_of_its_corner_open() -> None:
     at = se3.apply(TRUTH, corner.sweep.corner[None])[0]
     assert values[2] < 1e-9
     assert abs(ways[2] @ at) == pytest.approx(np.linalg.norm(at))
-    fit = adjusted([corner], TRUTH, [np.zeros(9)], range_bias_m=0.01, camera_px=0.5)
+    fit = adjusted([corner], TRUTH, [np.zeros(9)])
     assert fit.covariance is None
 
 
@@ -128,11 +129,13 @@ def test_the_start_tells_which_edge_is_which() -> None:
     assert matched(around, [(c.frame, c.image) for c in found], {c.frame: [c.sweep] for c in found}) == []
 
 
-def test_noise_moves_a_pose_by_what_its_covariance_says() -> None:
+def test_noise_moves_a_pose_by_what_its_covariance_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(adjustment, "RANGE_BIAS_M", 0.0)
+    monkeypatch.setattr(adjustment, "CAMERA_PX", 0.0)
     size = []
     for seed in range(1, 13):
         found = corners(5, 0.3, 0.01, seed)
-        fit = adjusted(found, TRUTH, [np.zeros(9)] * 5, range_bias_m=0, camera_px=0)
+        fit = adjusted(found, TRUTH, [np.zeros(9)] * 5)
         step = se3.log(fit.camera_from_lidar @ se3.inverse(TRUTH))
         assert fit.covariance is not None
         size.append(step @ np.linalg.solve(fit.covariance, step))

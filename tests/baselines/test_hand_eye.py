@@ -156,8 +156,10 @@ def drive() -> list[p2o.Frame]:
     return list(p2o.Recipe.of(data=DRIVE).resolve(p2o.Registry.load()).dataset())
 
 
-def test_no_start_is_needed(drive: list[p2o.Frame]) -> None:
-    calibrator, truth = method(lidar="given", open_m=10.0, open_deg=90.0), drive[0].camera_from_lidar
+def test_no_start_is_needed(drive: list[p2o.Frame], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(drives, "OPEN_M", 10.0)
+    monkeypatch.setattr(drives, "OPEN_DEG", 90.0)
+    calibrator, truth = method(lidar="given"), drive[0].camera_from_lidar
     moments = [calibrator.prepare(frame.without_truth()) for frame in drive]
     one, other = (calibrator.solve(moments, start) for start in (np.eye(4), truth))
     np.testing.assert_array_equal(one.camera_from_lidar, other.camera_from_lidar)
@@ -184,11 +186,15 @@ def test_a_motion_that_contradicts_the_pictures_is_said(drive: list[p2o.Frame]) 
     assert result.accuracy is None or error.translation_m < 1.5 * result.accuracy.translation_m_95
 
 
-def test_an_open_direction_is_said_and_taken_from_the_start_or_refused(drive: list[p2o.Frame]) -> None:
+def test_an_open_direction_is_said_and_taken_from_the_start_or_refused(
+    drive: list[p2o.Frame], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """With a bound so low that everything is open, the result is the start."""
     truth = drive[0].camera_from_lidar
     start = p2o.se3.exp(np.array([0.01, 0.02, -0.01, 0.1, 0.05, -0.1])) @ truth
-    options = {"lidar": "given", "rounds": 0, "joint": False, "open_deg": 1e-6, "open_m": 1e-6}
+    options = {"lidar": "given", "rounds": 0, "joint": False}
+    monkeypatch.setattr(drives, "OPEN_M", 1e-6)
+    monkeypatch.setattr(drives, "OPEN_DEG", 1e-6)
     moments = [method(**options).prepare(frame) for frame in drive]
     filled = method(**options).solve(moments, start)
     assert filled.status.solved

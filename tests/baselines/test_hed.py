@@ -90,11 +90,6 @@ def test_the_network_is_that_of_the_paper_step_by_step(random_weights: tuple[Pat
     np.testing.assert_allclose(found, expected, atol=2e-3)
 
 
-def test_a_smaller_scale_gives_a_map_of_the_same_size(random_weights: tuple[Path, dict[str, np.ndarray]]) -> None:
-    rgb = np.random.default_rng(1).integers(0, 256, (40, 60, 3), dtype=np.uint8)
-    assert edge_probability(read_weights(random_weights[0]), rgb, 0.5).shape == (40, 60)
-
-
 def ridge(offset_px: float = 0.0) -> np.ndarray:
     """Return a map of an upright edge at u = 30 + offset, 3 px wide."""
     u = np.arange(60)

@@ -101,9 +101,6 @@ def test_a_board_with_holes_is_found_in_a_sweep() -> None:
     assert len(found) == 1
     assert found[0].lidar_from_board[:3, 3] == pytest.approx(there[:3, 3], abs=0.012)
     assert turned_away(found[0].lidar_from_board, there) < 1.0
-    assert set(found[0].rim_of.tolist()) == {0, 1, 2, 3}
-    away = np.linalg.norm(found[0].rim - se3.apply(found[0].lidar_from_board, HOLES.centres)[found[0].rim_of], axis=1)
-    assert np.median(away) == pytest.approx(0.12, abs=0.01)
 
 
 def test_a_solid_board_of_the_size_is_none_with_holes() -> None:

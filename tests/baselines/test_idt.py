@@ -1,12 +1,11 @@
-"""`idt` and `line-idt`: inverse distance transforms, ring jumps, lines, and the test whether a pose is right."""
+"""`idt` and `line-idt`: inverse distance transforms, ring jumps, and lines."""
 
 from __future__ import annotations
 
 import numpy as np
 import p2o
 import pytest
-from p2o.solving import Objective
-from p2o_baselines.edges.idt import RIGHT, WRONG, build, probability_right, share_of_worse
+from p2o_baselines.edges.idt import build
 from p2o_baselines.edges.inverse_distance import edge_strength, inverse_distance, sampled, spread
 from p2o_baselines.edges.line_points import along_lines, range_image_jumps
 from p2o_baselines.edges.ring_discontinuity import ring_jumps
@@ -97,19 +96,3 @@ def test_a_point_that_leaves_the_image_is_neither_won_nor_lost() -> None:
     problem = build(p2o.Options())([p2o.View("flat", view.camera, flat, view.cloud)], stage.camera_from_lidar(), 5.0)
     turned = p2o.se3.exp(np.array([[0, a, 0, 0, 0, 0] for a in (0.0, 0.1, 0.4)])) @ stage.camera_from_lidar()
     np.testing.assert_allclose(problem.cost(turned), -3.0)
-
-
-def test_the_share_of_worse_neighbours_is_one_at_the_bottom_of_a_bowl() -> None:
-    truth = stage.camera_from_lidar()
-    bowl = Objective(lambda poses: ((poses - truth) ** 2).sum(axis=(1, 2)))
-    assert share_of_worse(bowl, truth) == 1.0
-    aside = p2o.se3.exp(np.array([0, 0, 0, 1.0, 0, 0])) @ truth
-    assert share_of_worse(bowl, aside) == pytest.approx(0.5, abs=0.17)  # better by a step of x alone
-
-
-def test_frames_together_are_surer_than_one() -> None:
-    good, bad = RIGHT.mean, WRONG.mean
-    assert probability_right([bad]) < 0.5 < probability_right([good])
-    assert probability_right([good] * 4) > probability_right([good])
-    assert probability_right([bad] * 4) < probability_right([bad])
-    assert probability_right([], prior=0.3) == pytest.approx(0.3)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from p2o import Camera, Result, Sphere, Status, pose_error, se3
 from p2o.arrays import Float
+from p2o_baselines.boards import adjustment
 from p2o_baselines.bodies.sphere_in_picture import SphereInPicture, cone_of, spheres_in_picture
 from p2o_baselines.bodies.sphere_in_sweep import SphereInSweep, fitted_sphere, spheres_in_sweep
 from p2o_baselines.target_method import Sight
@@ -109,7 +110,7 @@ def test_balls_without_noise_give_the_pose_exactly_from_any_start(count: int) ->
     assert result.matches["spheres"] == count
 
 
-def test_noise_moves_a_pose_by_what_its_covariance_says() -> None:
+def test_noise_moves_a_pose_by_what_its_covariance_says(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(3)
     held, size = 0, []
     for seed in range(12):
@@ -119,7 +120,9 @@ def test_noise_moves_a_pose_by_what_its_covariance_says() -> None:
             for k, p in enumerate(places)
         ]
         # No errors that all bodies share: noise alone.
-        method = kuemmerle.METHOD.build(kuemmerle.METHOD.options(range_bias_m=0, camera_px=0))
+        monkeypatch.setattr(adjustment, "RANGE_BIAS_M", 0.0)
+        monkeypatch.setattr(adjustment, "CAMERA_PX", 0.0)
+        method = kuemmerle.METHOD.build(kuemmerle.METHOD.options())
         result = method.solve(found, AWAY)
         step = se3.log(result.camera_from_lidar @ se3.inverse(TRUTH))
         size.append(step @ np.linalg.solve(result.covariance, step))

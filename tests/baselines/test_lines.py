@@ -30,7 +30,7 @@ def box() -> np.ndarray:
 
 
 def test_lsd_finds_the_four_sides_of_a_rectangle() -> None:
-    found = lsd.METHOD.build(lsd.LsdOptions())(image(box()))
+    found = lsd.METHOD.build(lsd.METHOD.options())(image(box()))
     ends = found.get("image-lines").ends
     assert len(ends) == 4
     upright = np.abs(ends[:, 1, 0] - ends[:, 0, 0]) < 1.0
@@ -41,10 +41,11 @@ def test_lsd_finds_the_four_sides_of_a_rectangle() -> None:
     assert (found.edges.side == p2o.Side.NONE).all()
 
 
-def test_masked_and_short_segments_are_left_out() -> None:
+def test_masked_and_short_segments_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lsd, "_MIN_LENGTH_PX", 30.0)
     masked = np.zeros((100, 140), bool)
     masked[:, 90:] = True
-    ends = lsd.METHOD.build(lsd.LsdOptions(min_length_px=30))(image(box(), masked)).get("image-lines").ends
+    ends = lsd.METHOD.build(lsd.METHOD.options())(image(box(), masked)).get("image-lines").ends
     assert len(ends) == 1  # the left side; both level ones reach into the mask
     assert ends[0, :, 0] == pytest.approx([29.5, 29.5], abs=0.7)
 
@@ -83,7 +84,7 @@ def line_view() -> p2o.View:
 
 
 def test_lines_have_no_residual_at_the_truth() -> None:
-    problem = lines.build(lines.LinesOptions())([line_view()], stage.camera_from_lidar(), 10.0)
+    problem = lines.build(lines.METHOD.options())([line_view()], stage.camera_from_lidar(), 10.0)
     assert len(problem) == 10
     np.testing.assert_allclose(problem.residuals(stage.camera_from_lidar()), 0.0, atol=1e-9)
 
@@ -93,7 +94,7 @@ def test_lines_lead_back_to_the_truth() -> None:
 
     truth = stage.camera_from_lidar()
     pose = p2o.se3.exp(np.array([0.01, -0.008, 0.012, 0.04, -0.03, 0.05])) @ truth
-    match, solve = lines.build(lines.LinesOptions()), lm.METHOD.build(lm.LmOptions())
+    match, solve = lines.build(lines.METHOD.options()), lm.METHOD.build(lm.LmOptions())
     for _ in range(5):
         pose = solve(match([line_view()], pose, 20.0), pose).camera_from_lidar
     np.testing.assert_allclose(pose, truth, atol=1e-6)
@@ -101,7 +102,7 @@ def test_lines_lead_back_to_the_truth() -> None:
 
 def test_derivatives_of_lines_are_those_of_their_residuals() -> None:
     pose = p2o.se3.exp(np.array([0.01, -0.008, 0.012, 0.04, -0.03, 0.05])) @ stage.camera_from_lidar()
-    problem = lines.build(lines.LinesOptions())([line_view()], pose, 30.0)
+    problem = lines.build(lines.METHOD.options())([line_view()], pose, 30.0)
     residuals, jacobian = problem.residuals_with_jacobian(pose)
     expected, differences = LeastSquares.residuals_with_jacobian(problem, pose)
     np.testing.assert_allclose(residuals, expected)
@@ -118,7 +119,7 @@ def test_a_direction_residual_is_how_far_the_ends_are_off() -> None:
     view = p2o.View(
         "one", camera, p2o.ImageFeatures(features=[ImageLines(uv)]), p2o.CloudFeatures(features=[CloudLines(turned)])
     )
-    problem = lines.build(lines.LinesOptions())([view], truth, 10.0)
+    problem = lines.build(lines.METHOD.options())([view], truth, 10.0)
     offset, direction = np.abs(problem.residuals(truth))
     moved = camera.project(p2o.se3.apply(truth, turned[0])) - uv[0]
     assert offset == pytest.approx(0.0, abs=1e-3)
@@ -185,12 +186,12 @@ def test_borders_grow_into_segments_and_end_at_gaps() -> None:
 
 def test_knn_line_has_no_residual_at_the_truth() -> None:
     view = stage.view().without_sides()
-    problem = knn_line.build(knn_line.KnnLineOptions())([view], stage.camera_from_lidar(), 6.0)
+    problem = knn_line.build(p2o.Options())([view], stage.camera_from_lidar(), 6.0)
     assert len(problem) > 0.5 * len(view.cloud_edges)
     assert np.median(np.abs(problem.residuals(stage.camera_from_lidar()))) < 0.1
 
 
-def test_knn_line_asks_for_the_same_direction() -> None:
+def test_knn_line_asks_for_the_same_direction(monkeypatch: pytest.MonkeyPatch) -> None:
     """Image edges that run level, cloud edges that stand upright."""
     view = stage.view().without_sides()
     along = np.linspace(0, 100, 300)
@@ -200,9 +201,10 @@ def test_knn_line_asks_for_the_same_direction() -> None:
     xyz = p2o.se3.apply(p2o.se3.inverse(truth), 10.0 * rays)
     upright = p2o.CloudEdges(xyz, np.full(200, -1, np.int8))
     crossed = p2o.View("crossed", view.camera, p2o.ImageFeatures(level), p2o.CloudFeatures(upright))
-    match = knn_line.build(knn_line.KnnLineOptions())
+    match = knn_line.build(p2o.Options())
     assert len(match([crossed], truth, 15.0)) == 0
-    assert len(knn_line.build(knn_line.KnnLineOptions(max_angle_deg=90.0))([crossed], truth, 15.0)) > 20
+    monkeypatch.setattr(knn_line, "_MAX_ANGLE_DEG", 90.0)
+    assert len(match([crossed], truth, 15.0)) > 20
 
 
 def test_cloud_edges_of_one_pixel_are_one() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from p2o import Box, Camera, Result, Status, pose_error, se3
 from p2o.arrays import Float
+from p2o_baselines.boards import adjustment
 from p2o_baselines.bodies.box_in_picture import BoxInPicture, boxes_in_picture, fitted_box, flat_at
 from p2o_baselines.bodies.box_in_sweep import (
     BoxInSweep,
@@ -138,10 +139,12 @@ def test_of_the_ways_one_box_may_be_turned_the_start_takes_the_nearest_and_says_
     assert pose_error(solved(sights(corner_on(3)), far).camera_from_lidar, TRUTH).rotation_deg < 1e-3
 
 
-def test_noise_moves_a_pose_by_what_its_covariance_says() -> None:
+def test_noise_moves_a_pose_by_what_its_covariance_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(adjustment, "RANGE_BIAS_M", 0.0)
+    monkeypatch.setattr(adjustment, "CAMERA_PX", 0.0)
     size = []
     for seed in range(10):
-        result = solved(sights(corner_on(5, seed), 0.3, 0.004), range_bias_m=0, camera_px=0)
+        result = solved(sights(corner_on(5, seed), 0.3, 0.004))
         step = se3.log(result.camera_from_lidar @ se3.inverse(TRUTH))
         size.append(step @ np.linalg.solve(result.covariance, step))
     # A sum of six squares: 6 on average, to 1.1 over ten draws; a scatter that widens makes it smaller.

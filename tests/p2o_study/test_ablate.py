@@ -52,7 +52,7 @@ def test_changing_an_option_extracts_again_only_what_it_acts_on(bench: Bench) ->
     bench.run(text)
     bench.calls()
     for change, expected in (
-        ("options.solver.max_iterations = 7\n", {}),
+        ("options.solver.tolerance = 1e-7\n", {}),
         ("options.matcher.neighbours = 6\n", {}),
         ("options.damage.missing_edges = 0.1\n", {}),
         ("options.extractor.step = 0.04\n", {"image": 3}),

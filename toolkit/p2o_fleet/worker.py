@@ -163,7 +163,7 @@ def _audited(views: Sequence[View], pose: Float, pipeline: Pipeline) -> tuple[Ed
     """
     for search in (False, True):
         evidence = EdgeEvidence.of(views, pose, pipeline, search=search)
-        check = audit(evidence, pipeline.options, Rates())
+        check = audit(evidence, Rates())
         if check.estimate is not None and check.holding is not CheckStatus.OFF:
             break
     step = evidence.far if evidence.led_away else evidence.near

@@ -11,6 +11,8 @@ from p2o import Float, se3
 from p2o_baselines.boards.pairing import Pair
 from p2o_baselines.damped import descended
 
+RANGE_BIAS_M = 0.01  # standard deviation of an error of all ranges, for the predicted error
+CAMERA_PX = 0.5  # standard deviation of the intrinsics in px, for the predicted error
 _LEAST_FREEDOM = 3  # least degrees of freedom from which the scatter of targets scales the covariance
 
 
@@ -53,9 +55,7 @@ def _sum(blocks: Sequence[Block]) -> float:
     return float(sum(block.residuals @ block.residuals for block in blocks))
 
 
-def covariance_of(
-    pairs: Sequence[Pair], cost: Cost, pose: Float, *, range_bias_m: float, camera_px: float
-) -> Float | None:
+def covariance_of(pairs: Sequence[Pair], cost: Cost, pose: Float) -> Float | None:
     """Return the covariance (6, 6) of a left update (rad, m): noise by scatter, common errors; None if undetermined."""
     blocks = [cost(pair, pose) for pair in pairs]
     hessian = np.asarray(sum(block.by_update.T @ block.by_update for block in blocks))
@@ -67,16 +67,17 @@ def covariance_of(
     gradients = (block.by_update.T @ block.residuals for block in blocks)
     covariance = covariance * max(1.0, variance_factor(zip(gradients, noises, strict=True)))
     bias = inverse @ np.asarray(sum(block.by_update.T @ block.by_bias for block in blocks))
-    camera_rad = camera_px / float(np.median([pair.board.px_per_rad for pair in pairs]))
+    px_per_rad = float(np.median([pair.board.px_per_rad for pair in pairs]))
     distance_m = float(np.median([np.linalg.norm(pair.board.camera_from_board[:3, 3]) for pair in pairs]))
-    return np.asarray(covariance + shared_errors(bias, range_bias_m, camera_rad, distance_m))
+    return np.asarray(covariance + shared_errors(bias, px_per_rad, distance_m))
 
 
-def shared_errors(bias: Float, range_bias_m: float, camera_rad: float, distance_m: float) -> Float:
+def shared_errors(bias: Float, px_per_rad: float, distance_m: float) -> Float:
     """Return the covariance (6, 6) of a left update by range bias (6,) per m and by intrinsics, common to targets."""
     # An offset of the principal point rotates the camera; a scale error of that size moves targets in depth.
+    camera_rad = CAMERA_PX / px_per_rad
     camera = np.diag([camera_rad, camera_rad, camera_rad, 0, 0, camera_rad * distance_m]) ** 2
-    return np.asarray(camera + range_bias_m**2 * np.outer(bias, bias))
+    return np.asarray(camera + RANGE_BIAS_M**2 * np.outer(bias, bias))
 
 
 def is_determined(hessian: Float) -> bool:

@@ -86,7 +86,7 @@ class BoardMethod:
 
     def solve(self, prepared: Sequence[Sight], camera_from_lidar: Float) -> Result:
         """Return the pose that aligns the boards of both sensors."""
-        options, algorithm, start = self.options, self.algorithm, np.asarray(camera_from_lidar, np.float64)
+        algorithm, start = self.algorithm, np.asarray(camera_from_lidar, np.float64)
         result = target_method.unsolved(prepared, start)
         missing = _missing(prepared, algorithm)
         if missing:
@@ -104,7 +104,7 @@ class BoardMethod:
         for _ in range(algorithm.rounds):
             pose = adjusted(pairs, algorithm.cost(pairs, pose), pose)
         cost = algorithm.cost(pairs, pose)
-        covariance = covariance_of(pairs, cost, pose, range_bias_m=options.range_bias_m, camera_px=options.camera_px)
+        covariance = covariance_of(pairs, cost, pose)
         before, after = (_off_m(pairs, each) for each in (start, pose))
         return target_method.solved(
             replace(result, matches=_matches(pairs)),

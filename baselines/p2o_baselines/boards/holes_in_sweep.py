@@ -27,14 +27,11 @@ _LEAST_RIM = 2  # least number of samples on the rim of every hole: without them
 class HoleBoardInSweep(BoardInSweep):
     """A plane segment of a sweep that may be a board with holes.
 
-    `lidar_from_board` is determined by the holes. `covariance` (6, 6) is that of a left update of it (rad, m), `rim`
-    (K, 3) are the points between returns from the board and rays through it, `rim_of` (K,) the hole of each.
+    `lidar_from_board` is determined by the holes, `covariance` (6, 6) is that of a left update of it (rad, m).
     """
 
     target: HoleBoard
     covariance: Float
-    rim: Float
-    rim_of: Int
 
 
 def hole_boards_in_sweep(
@@ -73,12 +70,12 @@ def _by_holes(rays: Rays, piece: BoardInSweep, target: HoleBoard) -> HoleBoardIn
         return None
     place, covariance, _ = best
     lidar_from_board = moved_in_plane(piece, place)
-    rim, rim_of = rims(rays, piece, lidar_from_board, target, on)
-    if not (np.bincount(rim_of, minlength=len(target.holes)) >= _LEAST_RIM).all():
+    rims = rim_samples(rays, piece, lidar_from_board, target, on)
+    if not (np.bincount(rims, minlength=len(target.holes)) >= _LEAST_RIM).all():
         return None
     sure = pose_covariance(piece, lidar_from_board, covariance)
     base = {**vars(piece), "lidar_from_board": lidar_from_board}
-    return HoleBoardInSweep(**base, target=target, covariance=sure, rim=rim, rim_of=rim_of)
+    return HoleBoardInSweep(**base, target=target, covariance=sure)
 
 
 def moved_in_plane(piece: BoardInSweep, place: Float) -> Float:
@@ -171,12 +168,12 @@ def wrong_m(xy: Float, on: Bool, place: Float, holes: Float, inset_m: float) -> 
     return np.asarray(np.clip(np.where(on, deep, -deep), 0.0, _CAP_M).sum(axis=-1))
 
 
-def rims(rays: Rays, piece: BoardInSweep, lidar_from_board: Float, target: HoleBoard, on: Bool) -> tuple[Float, Int]:
-    """Return the ends of rings at holes (K, 3) m, half a step beyond the last return, and the hole of each (K,)."""
+def rim_samples(rays: Rays, piece: BoardInSweep, lidar_from_board: Float, target: HoleBoard, on: Bool) -> Int:
+    """Return the hole (K,) of each end of a ring, half a step beyond the last return, that is at a rim."""
     hits, cosine = rays.meet(piece.normal, piece.offset_m)
     own = se3.apply(se3.inverse(lidar_from_board), hits)[:, :2]
     holes = np.array(target.holes)
-    out, which = [], []
+    which = []
     for ring in np.unique(rays.ring[on]):
         members = np.flatnonzero(rays.ring == ring)
         mine = members[on[members]]
@@ -187,15 +184,12 @@ def rims(rays: Rays, piece: BoardInSweep, lidar_from_board: Float, target: HoleB
                 if not 0 <= at + side < len(members):
                     continue
                 following = members[at + side]
-                towards = hits[following] - hits[last]
-                size = float(np.linalg.norm(towards))
+                size = float(np.linalg.norm(hits[following] - hits[last]))
                 if (on[following] and size < 2.5 * step) or size < 1e-9:
                     continue
-                end = hits[last] + towards / size * min(size, step) / 2
                 spot = own[last] + (own[following] - own[last]) / size * min(size, step) / 2
                 away = np.hypot(holes[:, 0] - spot[0], holes[:, 1] - spot[1]) - holes[:, 2]
                 nearest = int(np.argmin(np.abs(away)))
                 if abs(away[nearest]) < 0.05:
-                    out.append(end)
                     which.append(nearest)
-    return np.reshape(np.array(out), (-1, 3)), np.array(which, np.int64)
+    return np.array(which, np.int64)

@@ -52,9 +52,7 @@ class _Part:
     rest: Float
 
 
-def adjusted(
-    bodies: Sequence[Body], pose: Float, own: Sequence[Float], *, range_bias_m: float, camera_px: float
-) -> Fit:
+def adjusted(bodies: Sequence[Body], pose: Float, own: Sequence[Float]) -> Fit:
     """Return the fit next to a pose (4, 4) and unknowns; each body's unknowns are eliminated from the steps."""
 
     def step(state: _State, damping: float) -> tuple[Float, _State]:
@@ -70,7 +68,7 @@ def adjusted(
     start = (pose, [np.array(each, np.float64) for each in own])
     limits = {"least_step": 1e-8, "least_gain": 1e-9}
     pose, places = descended(start, lambda state: _cost(bodies, *state), step, iterations=40, **limits)
-    covariance = _covariance(bodies, pose, places, range_bias_m, camera_px)
+    covariance = _covariance(bodies, pose, places)
     return Fit(pose, tuple(places), covariance)
 
 
@@ -107,9 +105,7 @@ def _nudges() -> tuple[Float, Float]:
     return np.array([se3.exp(step) for step in steps]), np.array([se3.exp(-step) for step in steps])
 
 
-def _covariance(
-    bodies: Sequence[Body], pose: Float, own: Sequence[Float], range_bias_m: float, camera_px: float
-) -> Float | None:
+def _covariance(bodies: Sequence[Body], pose: Float, own: Sequence[Float]) -> Float | None:
     """Return the covariance of noise, scaled by the scatter of bodies, and of common errors of ranges and camera."""
     parts = [_part(body, pose, place) for body, place in zip(bodies, own, strict=True)]
     hessian = np.asarray(sum(part.hessian for part in parts))
@@ -119,4 +115,4 @@ def _covariance(
     covariance = inverse * max(1.0, variance_factor((part.slope, part.hessian) for part in parts))
     bias = inverse @ np.asarray(sum(part.bias for part in parts))
     distance_m, px_per_rad = np.median([body.camera_scale for body in bodies], axis=0).tolist()
-    return np.asarray(covariance + shared_errors(bias, range_bias_m, camera_px / px_per_rad, distance_m))
+    return np.asarray(covariance + shared_errors(bias, px_per_rad, distance_m))

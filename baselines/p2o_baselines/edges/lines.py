@@ -20,15 +20,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import p2o
-from p2o import Float, Int, field
+from p2o import Float, Int
 from p2o.solving import LeastSquares
 
-
-class LinesOptions(p2o.Options):
-    """Options of `lines`."""
-
-    max_angle_deg: float = field(8.0, gt=0, le=90, help="Largest angle in the image between lines that are paired.")
-    huber_px: float = field(2.0, gt=0, help="Residual from which a pair counts linearly and no longer squared.")
+_MAX_ANGLE_DEG = 8.0  # largest angle in the image between lines that are paired
+_HUBER_PX = 2.0  # residual from which a pair counts linearly and no longer squared
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,14 +78,14 @@ class LinesInPlanes(LeastSquares):
         return np.asarray(self.scale * (turned * self.normal).sum(axis=-1)), jacobian
 
 
-def build(options: LinesOptions) -> p2o.Matcher:
+def build(options: p2o.Options) -> p2o.Matcher:
     """Return the matcher `(views, camera_from_lidar (4, 4), reach_px) -> LinesInPlanes`."""
 
     def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> LinesInPlanes:
-        parts = [_rows(view, camera_from_lidar, reach_px, options) for view in views]
+        parts = [_rows(view, camera_from_lidar, reach_px) for view in views]
         frame = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
         rows = np.concatenate([np.zeros((0, 8)), *parts])
-        return LinesInPlanes(rows[:, :3], rows[:, 3:6], rows[:, 6], rows[:, 7], frame, options.huber_px)
+        return LinesInPlanes(rows[:, :3], rows[:, 3:6], rows[:, 6], rows[:, 7], frame, _HUBER_PX)
 
     return match
 
@@ -115,7 +111,7 @@ def nearest_lines(uv: Float, ends: Float, reach_px: float, max_angle_deg: float)
     return out
 
 
-def _rows(view: p2o.View, pose: Float, reach_px: float, options: LinesOptions) -> Float:
+def _rows(view: p2o.View, pose: Float, reach_px: float) -> Float:
     """Return rows (K, 8) of one view: vector, normal, scale, whole; two for each pair of lines."""
     image, cloud = view.get("image-lines"), view.get("cloud-lines")
     if not image or not cloud:
@@ -123,7 +119,7 @@ def _rows(view: p2o.View, pose: Float, reach_px: float, options: LinesOptions) -
     xyz = p2o.se3.apply(pose, cloud.ends.reshape(-1, 3))
     uv = view.camera.project(xyz).reshape(-1, 2, 2)
     uv[~view.camera.in_image(uv).all(axis=1)] = np.nan
-    chosen = nearest_lines(uv, image.ends, reach_px, options.max_angle_deg)
+    chosen = nearest_lines(uv, image.ends, reach_px, _MAX_ANGLE_DEG)
     pairs = np.flatnonzero(chosen >= 0)
     normal = np.cross(*np.moveaxis(view.camera.rays(image.ends[chosen[pairs]]), 1, 0))
     length = np.linalg.norm(normal, axis=1, keepdims=True)
@@ -139,7 +135,6 @@ def _rows(view: p2o.View, pose: Float, reach_px: float, options: LinesOptions) -
 METHOD = p2o.Method(
     name="lines",
     build=build,
-    options=LinesOptions,
     summary="Lines of the sweep on planes through the nearest lines of the image: direction and offset.",
     needs={"image-lines", "cloud-lines"},
     gives={"residuals"},

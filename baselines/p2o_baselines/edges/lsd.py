@@ -2,7 +2,7 @@
 
 Von Gioi et al., LSD: A Line Segment Detector, Image Processing On Line 2, 2012, in OpenCV's implementation with its
 default settings. Edges are points one pixel apart along the segments, each of weight 1. Segments that touch masked
-pixels or are shorter than `min_length_px` (ours) are dropped.
+pixels or are shorter than 10 px (ours) are dropped.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 import p2o
-from p2o import Float, field
+from p2o import Float
 from p2o.solving import checked
 
 
@@ -35,10 +35,7 @@ class ImageLines(p2o.ImageFeature):
         return replace(self, ends=self.ends[keep])
 
 
-class LsdOptions(p2o.Options):
-    """Options of `lsd`."""
-
-    min_length_px: float = field(10.0, ge=0, help="Shortest segment that is kept, in pixels.")
+_MIN_LENGTH_PX = 10.0  # shortest segment that is kept, in pixels
 
 
 def segments(image: p2o.Image, min_length_px: float) -> Float:
@@ -68,9 +65,9 @@ def points_along(ends: Float) -> tuple[Float, Any]:
     return (1 - share) * ends[segment, 0] + share * ends[segment, 1], segment
 
 
-def extract(image: p2o.Image, options: LsdOptions) -> p2o.ImageFeatures:
+def extract(image: p2o.Image) -> p2o.ImageFeatures:
     """Return the line segments of an image, and edges along them."""
-    ends = segments(image, options.min_length_px)
+    ends = segments(image, _MIN_LENGTH_PX)
     uv, _ = points_along(ends)
     edges = p2o.ImageEdges(uv, np.full(len(uv), p2o.Side.NONE, np.int8))
     return p2o.ImageFeatures(edges, features=[ImageLines(ends)])
@@ -78,8 +75,7 @@ def extract(image: p2o.Image, options: LsdOptions) -> p2o.ImageFeatures:
 
 METHOD = p2o.Method(
     name="lsd",
-    build=lambda options: lambda image: extract(image, options),
-    options=LsdOptions,
+    build=lambda options: extract,
     summary="Line segments of the grey image, and edges without direction along them.",
     gives={"image-edges", "image-lines"},
     cite="Von Gioi et al., LSD: A Line Segment Detector, Image Processing On Line 2, 2012",

@@ -15,10 +15,6 @@ from p2o_baselines.information.information import remembered
 Edges = TypeVar("Edges", p2o.ImageEdges, p2o.CloudEdges)
 
 
-class NearestOptions(PairingOptions):
-    """Options of `nearest`."""
-
-
 def undirected(edges: Edges) -> Edges:
     """Return edges without directions, each place once: one that carries two directions is listed twice before."""
     place = edges.uv if isinstance(edges, p2o.ImageEdges) else edges.xyz
@@ -34,7 +30,7 @@ def _heaviest(place: Float, weight: Float) -> Bool:
     return keep
 
 
-def build(options: NearestOptions) -> p2o.Matcher:
+def build(options: PairingOptions) -> p2o.Matcher:
     """Return the matcher `(views, camera_from_lidar (4, 4), reach_px) -> PointToLine`."""
     image_edges: Callable[[p2o.ImageEdges], p2o.ImageEdges] = remembered(undirected)
     cloud_edges: Callable[[p2o.CloudEdges], p2o.CloudEdges] = remembered(undirected)
@@ -52,7 +48,7 @@ def build(options: NearestOptions) -> p2o.Matcher:
 METHOD = p2o.Method(
     name="nearest",
     build=build,
-    options=NearestOptions,
+    options=PairingOptions,
     summary="Nearest image edges whatever their direction, as a line per cloud edge.",
     needs={"image-edges", "cloud-edges"},
     gives={"pairs"},

@@ -65,12 +65,11 @@ _MAX_RANGE_M = 40.0  # drop lines farther than this
 
 def build(options: p2o.Options) -> p2o.CloudExtractor:
     """Return the extractor."""
-    voxels = voxel_planes.VoxelPlanesOptions(max_range_m=_MAX_RANGE_M)
-    borders = line_points.METHOD.build(line_points.LinePointsOptions(max_range_m=_MAX_RANGE_M))
+    voxels, borders = voxel_planes.VoxelPlanesOptions(), line_points.LinePointsOptions()
 
     def extract(cloud: p2o.Cloud) -> p2o.CloudFeatures:
-        segments = [ends for _, ends in voxel_planes.plane_edges(cloud.xyz, voxels)]
-        edges = borders(cloud).edges
+        segments = [ends for _, ends in voxel_planes.plane_edges(cloud.xyz, voxels, _MAX_RANGE_M)]
+        edges = line_points.extract(cloud, borders, _MAX_RANGE_M).edges
         assert edges is not None
         segments += list(grown(edges.xyz))
         return p2o.CloudFeatures(features=[CloudLines(np.reshape(segments, (-1, 2, 3)))])

@@ -24,7 +24,6 @@ class RingDiscontinuityOptions(p2o.Options):
     """Options of `ring-discontinuity`."""
 
     min_jump_m: float = field(0.3, ge=0, help="Smallest range jump to a neighbour on the ring, in metres.")
-    power: float = field(0.5, gt=0, le=2, help="Exponent of the jump in the weight of a point.")
 
 
 def ring_jumps(cloud: p2o.Cloud, min_jump_m: float, max_gap_deg: float) -> tuple[Int, Float]:
@@ -61,7 +60,7 @@ def extract(cloud: p2o.Cloud, options: RingDiscontinuityOptions) -> p2o.CloudFea
     """Return the points in front of range jumps along their ring."""
     rows, jump_m = ring_jumps(cloud, options.min_jump_m, _MAX_GAP_DEG)
     near = np.linalg.norm(cloud.xyz[rows], axis=1) <= _MAX_RANGE_M
-    return p2o.CloudFeatures(edges_at(cloud, rows[near], jump_m[near] ** options.power))
+    return p2o.CloudFeatures(edges_at(cloud, rows[near], np.sqrt(jump_m[near])))
 
 
 METHOD = p2o.Method(

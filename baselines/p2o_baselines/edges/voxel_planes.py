@@ -34,18 +34,18 @@ _SAMPLES = 200  # random samples of three points for each plane
 _NEAR_M = 0.03  # farthest point of one plane from an edge, or the usual gap between its points; twice that of the other
 _SAMPLE_M = 0.02  # distance between samples of an edge
 _MIN_SAMPLES = 10  # drop edges with at most this many samples of 5 mm each
+_THIN_M = 0.02  # cubes of this side keep one point
+_MAX_RANGE_M = 60.0  # drop points farther than this
 
 
 class VoxelPlanesOptions(p2o.Options):
     """Options of `voxel-planes`."""
 
     voxel_m: float = field(1.0, gt=0, le=20, help="Side of a voxel in metres (outdoors; indoors 0.5).")
-    thin_m: float = field(0.02, gt=0, le=1, help="Cubes of this side keep one point.")
     plane_m: float = field(0.015, gt=0, le=1, help="Points this near to a plane belong to it (indoors 0.02).")
     plane_points: int = field(60, ge=3, help="Least points of a plane (indoors 30).")
     max_planes: int = field(5, ge=2, le=50, help="Planes of a voxel at most (indoors 8).")
     min_angle_deg: float = field(30.0, ge=0, lt=90, help="Least angle between two planes (indoors 45).")
-    max_range_m: float = field(60.0, gt=1, help="Drop points farther than this.")
 
 
 def extract(cloud: p2o.Cloud, options: VoxelPlanesOptions) -> p2o.CloudFeatures:
@@ -55,11 +55,13 @@ def extract(cloud: p2o.Cloud, options: VoxelPlanesOptions) -> p2o.CloudFeatures:
     return p2o.CloudFeatures(p2o.CloudEdges(xyz, np.full(len(xyz), p2o.Side.NONE, np.int8)))
 
 
-def plane_edges(xyz: Float, options: VoxelPlanesOptions) -> Iterator[tuple[Float, Float]]:
+def plane_edges(
+    xyz: Float, options: VoxelPlanesOptions, max_range_m: float = _MAX_RANGE_M
+) -> Iterator[tuple[Float, Float]]:
     """Yield the samples (S, 3) m and the ends (2, 3) m of each edge where two planes of one voxel meet."""
-    xyz = xyz[np.linalg.norm(xyz, axis=1) <= options.max_range_m]
+    xyz = xyz[np.linalg.norm(xyz, axis=1) <= max_range_m]
     xyz = xyz[np.lexsort(xyz.T)]  # points in another order are the same cloud
-    xyz = xyz[one_per_voxel(xyz, options.thin_m)] if len(xyz) else xyz
+    xyz = xyz[one_per_voxel(xyz, _THIN_M)] if len(xyz) else xyz
     cell = np.floor(xyz / options.voxel_m).astype(np.int64)
     order = np.lexsort(cell.T)
     new = np.flatnonzero((np.diff(cell[order], axis=0) != 0).any(axis=1)) + 1

@@ -28,6 +28,7 @@ from p2o_baselines.information import grey, mi, reflectance
 
 _SCALE = np.array([1e-3] * 3 + [1e-2] * 3)  # rad and m that change a cost by about the same amount
 _BINS = 32  # levels of grey, and of reflectance
+_POINTS_PER_OBSERVATION = 200.0  # points of a sweep per independent observation
 
 
 class CuesOptions(p2o.Options):
@@ -35,7 +36,6 @@ class CuesOptions(p2o.Options):
 
     extractor: str = field("p2ornet/rings", help="IMAGE/CLOUD that find directed edges.")
     weights: str = field("", help="Weights of p2ornet, as its option of that name; empty: its default.")
-    alike: float = field(200.0, gt=0, help="Points of a sweep per independent observation.")
 
     @field_validator("weights")
     @classmethod
@@ -102,7 +102,7 @@ class Cues:
             pose,
             np.asarray(np.linalg.inv(result.covariance)),
             self._objective(views, pose),
-            sum(_in_picture(view, pose) for view in views) / self.options.alike,
+            sum(_in_picture(view, pose) for view in views) / _POINTS_PER_OBSERVATION,
         )
         if not both.count:
             return replace(result, warnings=(*result.warnings, "no point of the sweep is in the image"))
@@ -146,7 +146,7 @@ def build(options: CuesOptions) -> p2o.Calibrator:
     return Cues(
         options,
         pipeline,
-        grey.METHOD.build(grey.METHOD.options()),
+        grey.extract,
         reflectance.METHOD.build(reflectance.METHOD.options()),
         mi.build(mi.MiOptions(bins=_BINS)),
     )

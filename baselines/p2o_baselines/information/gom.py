@@ -31,13 +31,13 @@ from p2o_baselines.information.information import Sighting, remembered, sighting
 _CHUNK = 1 << 17
 _BLUR_SIGMA_PX = 2.0  # width of the blur before the image's gradient
 _POINTS = 6_000  # largest number of points per view
+_NEIGHBOURS = 8  # nearest neighbours by direction for the gradient of a point
 
 
 class GomOptions(p2o.Options):
     """Options of `gom`."""
 
     by: Literal["reflectance", "normals"] = field("reflectance", help="Compare reflectance, or steepness of surfaces.")
-    neighbours: int = field(8, ge=3, le=100, help="Nearest neighbours by direction for the gradient of a point.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +105,7 @@ def build(options: GomOptions) -> p2o.Matcher:
         near = sighting.near_image(pose, len(sighting.xyz))
         if not len(near.xyz):
             return None
-        along = gradients(near.xyz, by_rank(near.value), options.neighbours)
+        along = gradients(near.xyz, by_rank(near.value), _NEIGHBOURS)
         # The points with the steepest gradients contain nearly all information.
         steep = np.argsort(-np.linalg.norm(along, axis=1), kind="stable")[:_POINTS]
         return Slopes(near.camera, grey_gradient(near.grey), near.xyz[steep], along[steep])

@@ -1,49 +1,24 @@
-"""Grey values of the image, on demand equalised and smoothed, `--extractor grey/CLOUD`: for mutual information."""
+"""Grey values of the image, slightly smoothed, `--extractor grey/CLOUD`: for mutual information."""
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 import p2o
-from p2o import field
 
-_BILATERAL_SIGMA = 75.0  # deviation of the bilateral filter in pixels, and in grey levels of 255
-
-
-class GreyOptions(p2o.Options):
-    """Options of `grey`."""
-
-    equalise: Literal["none", "histogram", "local"] = field(
-        "none",
-        help="Make grey values equally frequent: over the whole image, or in tiles with limited contrast (CLAHE).",
-    )
-    bilateral_px: int = field(0, ge=0, le=51, help="Diameter of a bilateral filter, which keeps outlines; 0: none.")
-    blur_sigma_px: float = field(1.0, ge=0, le=50, help="Width of the final Gaussian blur; 0 for none.")
+_BLUR_SIGMA_PX = 1.0  # width of the Gaussian blur
 
 
-def extract(image: p2o.Image, options: GreyOptions) -> p2o.ImageFeatures:
+def extract(image: p2o.Image) -> p2o.ImageFeatures:
     """Return `image-grey`, 0 to 255."""
     import cv2
 
-    grey = np.array(image.grey, np.uint8)
-    if options.bilateral_px > 0:
-        grey = cv2.bilateralFilter(grey, options.bilateral_px, _BILATERAL_SIGMA, _BILATERAL_SIGMA)
-    if options.equalise == "histogram":
-        grey = cv2.equalizeHist(grey)
-    elif options.equalise == "local":
-        grey = cv2.createCLAHE(clipLimit=2.0, tileGridSize=(8, 8)).apply(grey)
-    values = grey.astype(np.float32)
-    if options.blur_sigma_px > 0:
-        values = cv2.GaussianBlur(values, (0, 0), options.blur_sigma_px)
+    values = cv2.GaussianBlur(np.array(image.grey, np.uint8).astype(np.float32), (0, 0), _BLUR_SIGMA_PX)
     return p2o.ImageFeatures(features=[p2o.GreyMap(values.astype(np.float64))])
 
 
 METHOD = p2o.Method(
     name="grey",
-    build=lambda options: lambda image: extract(image, options),
-    options=GreyOptions,
-    summary="Grey values of every pixel, on demand equalised and smoothed.",
+    build=lambda options: extract,
+    summary="Grey values of every pixel, slightly smoothed.",
     gives={"image-grey"},
-    cite="Tomasi and Manduchi, Bilateral filtering, ICCV 1998; Zuiderveld, CLAHE, Graphics Gems IV, 1994",
 )

@@ -14,7 +14,7 @@ Points that are outside the image at the pose of a round are left out of it, as 
 Departures: its initial guess from SuperGlue matches is left out (the licence of the weights is restricted); the weight
 of a point decreases over the last 10 px to the border, so that the cost has no steps there; logarithms need no offset
 of 1e-6, because empty cells do not contribute; the mean over frames replaces the sum; the extractor `grey` blurs by
-1 px (`--set extractor.blur_sigma_px=0` for none).
+1 px.
 """
 
 from __future__ import annotations

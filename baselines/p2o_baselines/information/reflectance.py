@@ -13,13 +13,14 @@ from scipy.spatial import cKDTree
 from p2o_baselines.information.histogram import by_rank
 from p2o_baselines.point_feature import raw_times, rows_in_range
 
+_POINTS = 400_000  # largest number of points, evenly sampled
+
 
 class ReflectanceOptions(p2o.Options):
     """Options of `reflectance`."""
 
     min_range_m: float = field(1.5, ge=0, le=1000, help="Drop points nearer than this, on the car itself.")
     max_range_m: float = field(80.0, gt=1, le=1000, help="Drop points farther than this.")
-    points: int = field(400_000, ge=100, le=10_000_000, help="Largest number of points, evenly sampled.")
     equalise: Literal["none", "sweep", "ring", "auto"] = field(
         "none",
         help="Replace intensities by ranks in the sweep, which matchers that need that do themselves; or in each ring, "
@@ -40,7 +41,7 @@ def extract(cloud: p2o.Cloud, options: ReflectanceOptions) -> p2o.CloudFeatures:
         ring = None if options.equalise == "sweep" else _known_rings(cloud, required=options.equalise == "ring")
         intensity = by_rank(intensity) if ring is None else ranked_by_ring(intensity, ring[near])
     points = p2o.CloudPoints(xyz, intensity, normal, raw_times(cloud, near))
-    return p2o.CloudFeatures(points=points.thinned(options.points))
+    return p2o.CloudFeatures(points=points.thinned(_POINTS))
 
 
 def rings(cloud: p2o.Cloud) -> Int:

@@ -225,23 +225,15 @@ class FlatImage:
         return np.column_stack(across[quarters % 4])
 
 
-_WIDEST_TAN = 1.7
-"""Tangent of the largest angle from the optical axis: 60 degrees."""
-
-
 def flattened(image: p2o.Image, focal_px: float) -> FlatImage | None:
     """Return an image without distortion at a focal length in pixels; None if no ray of its camera points forward."""
     import cv2
 
     camera = image.camera
-    u, v = np.linspace(0, camera.width - 1, 25), np.linspace(0, camera.height - 1, 25)
-    rays = camera.rays(np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        plane = rays[:, :2] / rays[:, 2:]
-    plane = plane[np.isfinite(plane).all(axis=1) & (rays[:, 2] > 0)]
-    if not len(plane):
+    extent = camera.extent()
+    if extent is None:
         return None
-    low, high = (np.clip(end, -_WIDEST_TAN, _WIDEST_TAN) for end in (plane.min(axis=0), plane.max(axis=0)))
+    low, high = extent
     width, height = np.clip(np.ceil((high - low) * focal_px).astype(int) + 1, _LEAST_PX, 2 * _MOST_PX)
     xy = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1) / focal_px + low
     uv = camera.project(np.concatenate([xy, np.ones((height, width, 1))], axis=-1)).astype(np.float32)

@@ -110,7 +110,7 @@ class KeypointMatcher:
     matcher: Any
     features: str
     most: int
-    device: str
+    device: torch.device
 
     def detect(self, grey: UInt8) -> Keypoints:
         """Return the strongest keypoints of an image (H, W)."""
@@ -162,7 +162,7 @@ def _one_answer() -> Iterator[None]:
         torch.set_num_threads(count)
 
 
-def read_networks(features: str, keypoints: int, device: str) -> KeypointMatcher:
+def read_networks(features: str, keypoints: int, device: torch.device) -> KeypointMatcher:
     """Return detector and matcher. Raises MethodUnavailable without weights or networks, InputError for other files."""
     try:
         from kornia.feature import DISK, LightGlue

@@ -25,7 +25,6 @@ from typing import Literal
 import numpy as np
 import p2o
 from p2o import Float, Int, Result, Status, field
-from p2o.solving import has_gpu_driver
 
 from p2o_baselines import examples
 from p2o_baselines.information.histogram import by_rank
@@ -39,6 +38,7 @@ from p2o_baselines.information.reflectance_view import (
     rendered,
     views_of,
 )
+from p2o_baselines.learned.device import device_of
 from p2o_baselines.learned.feature_networks import FEATURES, KeypointMatcher, Keypoints, files_of, read_networks
 from p2o_baselines.learned.matched_pose import MatchedPose, Matches, pose_of, rotations_of
 from p2o_baselines.start_by_calibrator import StartByCalibrator
@@ -49,6 +49,8 @@ _CELL_PX = 4.0
 """Size of the places of an image that are counted."""
 _FOCAL_PX = 600.0  # focal length of virtual views, to which images are resampled
 _MIN_RANGE_M = 1.5  # drop points nearer than this, on the vehicle itself
+_KEYPOINTS = 1024  # largest number of keypoints in an image
+_LEAST = 20  # refuse a pose on which fewer places of the images agree
 
 
 class MatchesOptions(p2o.Options):
@@ -57,14 +59,12 @@ class MatchesOptions(p2o.Options):
     features: Literal["aliked", "aliked-rotated", "disk", "xfeat"] = field(
         "aliked", help="Keypoints and their network."
     )
-    keypoints: int = field(1024, ge=50, le=20_000, help="Largest number of keypoints in an image.")
     coarse: float = field(
         0.67, ge=0.1, le=1, help="Focal length of the views around the LiDAR, in those of the views after them."
     )
     upright: bool = field(False, help="Match the image upright only, not also upside down and on its sides.")
     offset_m: float = field(1.0, gt=0, le=10, help="Largest distance of the camera from the LiDAR.")
     reach_px: float = field(6.0, gt=0, le=100, help="Largest residual of a match, in pixels of the virtual views.")
-    least: int = field(20, ge=4, le=10_000, help="Refuse a pose on which fewer places of the images agree.")
     device: str = field("auto", pattern="^(auto|cpu|cuda(:[0-9]+)?)$", help="auto uses a GPU if there is one.")
     seed: int = field(0, ge=0, help="Seed of the samples of RANSAC.")
 
@@ -135,7 +135,7 @@ class MatchesCalibration:
                     self._matched(frame.name, image, 0, keypoints, view, self.networks.detect(view.grey), quarter)
                 )
             pose = self.pose(parts)
-            if pose is not None and pose.agree >= _SURE * options.least:
+            if pose is not None and pose.agree >= _SURE * _LEAST:
                 break
         return joined(frame.name, parts)
 
@@ -176,7 +176,7 @@ class MatchesCalibration:
         """Return the pose of the matches of all frames, refused if few agree; the initial guess is not used."""
         began, start = time.perf_counter(), np.asarray(camera_from_lidar, np.float64)
         names = tuple(part.name for part in prepared)
-        pose, count, least = self.pose(prepared), sum(len(part.rays) for part in prepared), self.options.least
+        pose, count, least = self.pose(prepared), sum(len(part.rays) for part in prepared), _LEAST
         agree = 0 if pose is None else pose.agree
         result = Result(names, start, start, Status.TOO_FEW_MATCHES, "", matches={"features": count, "agree": agree})
         if pose is None or agree < least:
@@ -213,14 +213,7 @@ def pooled(parts: Sequence[FrameMatches], quarter: int) -> Matches:
 
 def _networks(options: MatchesOptions) -> KeypointMatcher:
     """Return the networks of the options. Raises MethodUnavailable without weights, InputError without the GPU."""
-    import torch
-
-    device = options.device
-    if device == "auto":
-        device = "cuda" if has_gpu_driver() and torch.cuda.is_available() else "cpu"
-    elif device != "cpu" and not torch.cuda.is_available():
-        raise p2o.InputError("no GPU is available", where="matches", expected="device auto or cpu", got=device)
-    return read_networks(options.features, options.keypoints, device)
+    return read_networks(options.features, _KEYPOINTS, device_of(options.device))
 
 
 def build(options: MatchesOptions) -> p2o.Calibrator:

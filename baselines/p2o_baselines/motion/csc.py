@@ -139,7 +139,7 @@ class CscCalibration(MotionCalibration):
             f"{100 * off_step_m:.1f} cm"
         )
         hand_eye = HandEye(consistency.camera_from_lidar, consistency.covariance, np.zeros(0), off_deg, off_step_m)
-        openings = hand_eye.open_directions(over_deg=self.options.open_deg, over_m=self.options.open_m)
+        openings = hand_eye.open_directions(over_deg=moments.OPEN_DEG, over_m=moments.OPEN_M)
         if openings:
             directions = ", and ".join(map(str, openings))
             raise RefusedError(Status.NOT_OBSERVABLE, f"not observable from structure: {directions}; {reason}")

@@ -56,12 +56,12 @@ _POINTS = 600  # largest number of LiDAR points tracked per sweep
 _LEAST_STEPS = 3  # least number of steps from frame to frame
 _TOLERANCE_DEG = 0.005  # stop if an iteration changes the rotation by less
 _TOLERANCE_M = 0.002  # stop if an iteration changes the translation by less
+_SPAN = 4  # largest number of frames over which motions are compared
 
 
 class HandEyeOptions(MotionOptions):
     """Options of `hand-eye`."""
 
-    span: int = p2o.field(4, ge=1, le=50, help="Largest number of frames over which motions are compared.")
     rounds: int = p2o.field(2, ge=0, le=100, help="Largest number of iterations of odometry with LiDAR points.")
     joint: bool = p2o.field(True, help="Finish with one least squares over all corners with depth (not in the paper).")
     fill: bool = p2o.field(True, help="Keep unobservable directions of the initial extrinsic; else refuse.")
@@ -90,9 +90,9 @@ class HandEyeCalibration(MotionCalibration):
         options, start = self.options, result.start
         groups = moments.consecutive(prepared, options.gap_s)
         count = matches["steps"] = sum(len(group) - 1 for group in groups)
-        runs = moments.runs_of(groups, len(prepared), options, least_steps=_LEAST_STEPS, span=options.span)
-        tracks = [corner_tracks(run, options) for run in runs]
-        motions = corner_motions(runs, tracks, options)
+        runs = moments.runs_of(groups, len(prepared), options, least_steps=_LEAST_STEPS, span=_SPAN)
+        tracks = [corner_tracks(run) for run in runs]
+        motions = corner_motions(runs, tracks)
         matches["spans"] = len(motions.steps)
         if len(motions.steps) < _LEAST_STEPS:
             reason = f"the motion of the camera is known in {len(motions.steps)} of {count} steps"
@@ -131,7 +131,7 @@ class HandEyeCalibration(MotionCalibration):
         )
 
     def _openings(self, hand_eye: HandEye) -> tuple[OpenDirection, ...]:
-        return hand_eye.open_directions(over_deg=self.options.open_deg, over_m=self.options.open_m)
+        return hand_eye.open_directions(over_deg=moments.OPEN_DEG, over_m=moments.OPEN_M)
 
     def _iterated(self, runs: Sequence[Run], motions: Motions, start: Float) -> tuple[HandEye, Motions, Status]:
         """Return the extrinsic by both kinds of odometry, the last motions, and whether it converged."""
@@ -142,7 +142,7 @@ class HandEyeCalibration(MotionCalibration):
         # Directions that are unobservable without scales keep the closed form until LiDAR points determine them.
         pose = hand_eye.filled(first, self._openings(hand_eye)).camera_from_lidar
         for _ in range(options.rounds):
-            metric = point_motions(runs, pose, options)
+            metric = point_motions(runs, pose)
             if len(metric.steps) < _LEAST_STEPS:
                 return hand_eye, motions, Status.ROUNDS_SPENT
             motions = metric
@@ -155,10 +155,10 @@ class HandEyeCalibration(MotionCalibration):
         return hand_eye, motions, Status.ROUNDS_SPENT if options.rounds else Status.CONVERGED
 
 
-def corner_tracks(run: Run, options: HandEyeOptions) -> list[Followed]:
+def corner_tracks(run: Run) -> list[Followed]:
     """Return the corners of each image of a run except the last, and their tracks in later images."""
     tracks = []
-    for first, later in run.spans(options.span):
+    for first, later in run.spans(_SPAN):
         here, later_moments = run.moments[first], [run.moments[number] for number in later]
         corners, _ = followed(here.grey, later_moments[0].grey, most=_CORNERS, masked=here.masked)
         places = follow_on([here.grey, *(moment.grey for moment in later_moments)], corners)
@@ -168,12 +168,12 @@ def corner_tracks(run: Run, options: HandEyeOptions) -> list[Followed]:
     return tracks
 
 
-def corner_motions(runs: Sequence[Run], tracks: Sequence[Sequence[Followed]], options: HandEyeOptions) -> Motions:
+def corner_motions(runs: Sequence[Run], tracks: Sequence[Sequence[Followed]]) -> Motions:
     """Return steps to the next and to the farthest frame with the camera's motion by corners alone, up to scale."""
     motions = _Sums()
     for run, each in zip(runs, tracks, strict=True):
         motions.single.append([])
-        for (first, later), track in zip(run.spans(options.span), each, strict=True):
+        for (first, later), track in zip(run.spans(_SPAN), each, strict=True):
             motions.single[-1].append(None)
             for second in sorted({later[0], later[-1]}):
                 rays = track.later[second - first - 1]
@@ -189,12 +189,12 @@ def corner_motions(runs: Sequence[Run], tracks: Sequence[Sequence[Followed]], op
     return motions.total(metric=False)
 
 
-def point_motions(runs: Sequence[Run], camera_from_lidar: Float, options: HandEyeOptions) -> Motions:
+def point_motions(runs: Sequence[Run], camera_from_lidar: Float) -> Motions:
     """Return all steps with the camera's motion in metres, by LiDAR points followed in its images at a pose."""
     motions = _Sums()
     for run in runs:
         motions.single.append([])
-        for first, later in run.spans(options.span):
+        for first, later in run.spans(_SPAN):
             motions.single[-1].append(None)
             for second, step in fused_steps(run, first, later, camera_from_lidar):
                 motions.add(run, first, second, step, step.covariance, step.points)

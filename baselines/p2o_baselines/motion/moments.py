@@ -26,6 +26,10 @@ _MAP_M = 0.5
 _STILL_RAD, _STILL_M = np.radians(0.2), 0.05  # steps below these thresholds are a static sensor
 
 
+OPEN_DEG = 2.0  # rotations with a larger standard deviation are unobservable
+OPEN_M = 0.25  # translations with a larger standard deviation are unobservable
+
+
 class MotionOptions(p2o.Options):
     """Options of methods that use the motion of both sensors on a drive."""
 
@@ -33,8 +37,6 @@ class MotionOptions(p2o.Options):
         "gicp", help="Motion of the LiDAR: small_gicp, KISS-ICP, or the poses of the frames."
     )
     gap_s: float = field(0.6, gt=0, le=60, help="Largest time between consecutive frames.")
-    open_deg: float = field(2.0, gt=0, le=90, help="Rotations with a larger standard deviation are unobservable.")
-    open_m: float = field(0.25, gt=0, le=10, help="Translations with a larger standard deviation are unobservable.")
 
 
 @dataclass(frozen=True, eq=False)

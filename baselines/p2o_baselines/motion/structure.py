@@ -149,7 +149,7 @@ class Consistency:
     """The extrinsic at which both maps agree.
 
     `covariance` (6, 6) is that of a left update (rad, m), `scales` (K,) m per unit of each stretch. `landmarks` lie
-    next to a plane, `share` of those near enough to be compared; `off_m` is their median distance. Steps differ by
+    next to a plane; `off_m` is their median distance. Steps differ by
     `off_deg` and `off_step_m`, root mean squares of the inliers. `delay_s` is the delay of the camera relative to its
     sweeps, with its standard deviation, infinite if it is not observable.
     """
@@ -158,7 +158,6 @@ class Consistency:
     covariance: Float
     scales: tuple[Float, ...]
     landmarks: int
-    share: float
     off_m: float
     off_deg: float
     off_step_m: float
@@ -281,12 +280,11 @@ def _with_covariance(
     weight = np.concatenate([part.step_weight for part in parts])
     square = (weight[:, None] * steps**2).sum(axis=0) / max(float(weight.sum()), 1e-12)
     near = sum(len(np.unique(each.landmark[part.near])) for each, part in zip(stretches, parts, strict=True))
-    share = near / max(sum(len(np.unique(each.landmark)) for each in stretches), 1)
     off_deg, off_step_m = float(np.degrees(np.sqrt(square[:3].sum()))), float(np.sqrt(square[3:].sum()))
     of_maps, off_m = tuple(np.exp(scale) for scale in scales), float(np.median(off))
     delay = _delay(stretches, pose, scales)
     covariance = 0.5 * (covariance + covariance.T)
-    return Consistency(pose, covariance, of_maps, near, share, off_m, off_deg, off_step_m, *delay, settled)
+    return Consistency(pose, covariance, of_maps, near, off_m, off_deg, off_step_m, *delay, settled)
 
 
 @dataclass(frozen=True, eq=False)

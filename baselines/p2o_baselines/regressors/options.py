@@ -67,5 +67,4 @@ class RegressorOptions(p2o.Options):
         "commas, from the largest range to the smallest.",
     )
     first: int = field(1, ge=1, le=100, help="First stage, counted from 1: small initial errors need no large range.")
-    rounds: int = field(1, ge=1, le=100, help="Number of applications of each stage.")
     device: str = field("auto", pattern="^(auto|cpu|cuda(:[0-9]+)?)$", help="auto uses a GPU if there is one.")

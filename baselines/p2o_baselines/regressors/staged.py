@@ -57,7 +57,7 @@ class StagedRegressor:
         if not np.isfinite(poses).all():
             return Result(names, start, start, Status.STAGE_FAILED, "the correction of the network is not finite")
         solution = median(poses)
-        reason = f"{len(self.stages) * self.options.rounds} corrections of {self.design.name}"
+        reason = f"{len(self.stages)} corrections of {self.design.name}"
         if len(poses) > 1:
             apart = [se3.angle_deg(se3.inverse(solution) @ pose) for pose in poses]
             reason += f"; the median of {len(poses)} frames, {np.median(apart):.2f} deg from them (median)"
@@ -70,10 +70,9 @@ class StagedRegressor:
         poses = np.repeat(np.asarray(camera_from_lidar, np.float64)[None], len(prepared), axis=0)
         out = [poses]
         for stage in self.stages:
-            for _ in range(self.options.rounds):
-                corrections = self.corrections(prepared, poses, stage)
-                poses = np.stack([each @ pose for each, pose in zip(corrections, poses, strict=True)])
-                out.append(poses)
+            corrections = self.corrections(prepared, poses, stage)
+            poses = np.stack([each @ pose for each, pose in zip(corrections, poses, strict=True)])
+            out.append(poses)
         return out
 
     def corrections(self, prepared: Sequence[NetworkInput], poses: Float, stage: Stage) -> Float:
@@ -115,7 +114,8 @@ def median(poses: Float) -> Float:
 
 def build(design: Design, options: RegressorOptions, files: Sequence[Path]) -> StagedRegressor:
     """Return the calibrator with the weights of files; raises InputError if they cannot be read."""
-    from p2o_baselines.regressors.weights_file import device_of, read_weights
+    from p2o_baselines.learned.device import device_of
+    from p2o_baselines.regressors.weights_file import read_weights
 
     device = device_of(options.device)
     read = [read_weights(path, design) for path in files]

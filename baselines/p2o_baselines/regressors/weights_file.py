@@ -96,13 +96,3 @@ def _trained(header: Mapping[str, str], path: Path) -> Trained:
 
 def _foreign(path: Path, whose: str, expected: str, got: object) -> InputError:
     return InputError(f"no weights of {whose}", where=path, expected=expected, got=str(got)[:120])
-
-
-def device_of(name: str) -> torch.device:
-    """Return the device of an option; raises InputError for a GPU that does not exist."""
-    if name == "auto":
-        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    if name != "cpu" and int(name.partition(":")[2] or 0) >= torch.cuda.device_count():
-        expected = f"cpu, or one of {torch.cuda.device_count()} GPUs"
-        raise InputError("the GPU does not exist", where="device", expected=expected, got=name)
-    return torch.device(name)

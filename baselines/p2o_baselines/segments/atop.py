@@ -122,6 +122,8 @@ _MARGIN_PX = 100.0  # cuboids whose middle is so far outside of the image at the
 _SECOND_SHARE = 0.3  # size of the second swarm's box as a share of the first's
 _GROUND_M = 0.5  # cuboids that end so near to the ground are put onto it
 _LEAST_OBJECTS = 3  # fewer matched objects, over all frames, are too few
+_PARTICLES = 80  # particles of each swarm
+_STEPS = 80  # steps of each swarm
 
 
 class AtopOptions(p2o.Options):
@@ -130,8 +132,6 @@ class AtopOptions(p2o.Options):
     boxes: str = field("", help="Folder of the boxes of both sensors, NAME.json a frame.")
     range_deg: float = field(3.0, gt=0, le=180, help="Half width of the first swarm's box in each rotation.")
     range_m: float = field(0.2, gt=0, le=100, help="Half width of the first swarm's box in each shift.")
-    particles: int = field(80, ge=2, le=100_000, help="Particles of each swarm.")
-    steps: int = field(80, ge=1, le=100_000, help="Steps of each swarm.")
     seed: int = field(0, ge=0, help="Seed of the swarms, and of the ground planes that are tried.")
 
 
@@ -232,12 +232,12 @@ class Atop:
         reason = f"{matched} objects overlap by {1 - after:.2f} on average"
         return decided(known, camera_from_lidar=pose, status=Status.CONVERGED, reason=reason)
 
-    def _swarm(self, cost: Callable[[Float], Float], start: Float, half: Float, rng: np.random.Generator) -> Float:
+    @staticmethod
+    def _swarm(cost: Callable[[Float], Float], start: Float, half: Float, rng: np.random.Generator) -> Float:
         def charted(places: Float) -> Float:
             return cost(pose_from_chart(start, places))
 
-        count, moves = self.options.particles, self.options.steps
-        best, _, _ = swarmed(charted, -half, half, rng, first=np.zeros(6), particles=count, moves=moves)
+        best, _, _ = swarmed(charted, -half, half, rng, first=np.zeros(6), particles=_PARTICLES, moves=_STEPS)
         return pose_from_chart(start, best)
 
     def _sight(self, road: Road, objects: Objects, start: Float) -> Sight | None:

@@ -5,7 +5,7 @@
 
 The cost is minus the share of lane points on lanes of the image, plus that of pole points, each class with weight one
 half if both exist. The score of a point falls linearly with its distance from the mask, from 1 on the mask to 0 at
-`soft_px`; points outside the image score 0, so that a pose cannot gain by losing points.
+6 px; points outside the image score 0, so that a pose cannot gain by losing points.
 
 Departures from the paper and its code (PJLab lidar2camera/auto_calib): masks by shape instead of a network
 (`lane_pole_image`); the given initial extrinsic instead of one from three lines (P3L); a linear fall-off instead of a
@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import p2o
-from p2o import Float, Int, field
+from p2o import Float, Int
 from p2o.solving import Objective
 
 from p2o_baselines.segments.lane_pole_cloud import LANE, POLE, LanePolePoints
@@ -29,12 +29,7 @@ from p2o_baselines.segments.lane_pole_image import FAR_PX, LanePoleMap
 _AT_ONCE = 1 << 18  # number of points of several poses that are sampled in one call
 _POINTS = 4000  # largest number of points per frame, evenly sampled
 _MARGIN_PX = 60.0  # margin around the image in which points are used
-
-
-class CrlfOptions(p2o.Options):
-    """Options of `crlf`; all defaults are ours."""
-
-    soft_px: float = field(6.0, gt=0.5, le=FAR_PX, help="Distance from the mask at which a point scores 0.")
+_SOFT_PX = 6.0  # distance from the mask at which a point scores 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,10 +41,9 @@ class LanePoleView:
     xyz: Float
     kind: Int
     weight: Float
-    soft_px: float
 
     @classmethod
-    def of(cls, view: p2o.View, pose: Float, options: CrlfOptions) -> LanePoleView | None:
+    def of(cls, view: p2o.View, pose: Float) -> LanePoleView | None:
         """Return the frame projected at a pose; None if no class is in both image and sweep."""
         camera, away, points = view.camera, view.get(LanePoleMap.word), view.get(LanePolePoints.word)
         if away is None or points is None or not len(points):
@@ -63,7 +57,7 @@ class LanePoleView:
             return None
         count = np.bincount(points.kind, minlength=2)
         weight = (1.0 / np.maximum(count, 1) / np.count_nonzero(count))[points.kind]
-        return cls(camera, away, points.xyz, points.kind, weight, options.soft_px)
+        return cls(camera, away, points.xyz, points.kind, weight)
 
     def share(self, poses: Float) -> Float:
         """Return the share (B,) of points on their masks at poses (B, 4, 4)."""
@@ -73,15 +67,15 @@ class LanePoleView:
     def _share(self, poses: Float) -> Float:
         uv = self.camera.project(p2o.se3.apply(poses, self.xyz))
         away = np.take_along_axis(self.distance.at(uv), self.kind[None, :, None], axis=2)[..., 0]
-        on = np.where(np.isfinite(away), np.maximum(1 - away / self.soft_px, 0.0), 0.0)
+        on = np.where(np.isfinite(away), np.maximum(1 - away / _SOFT_PX, 0.0), 0.0)
         return np.asarray(on @ self.weight)
 
 
-def build(options: CrlfOptions) -> p2o.Matcher:
+def build(options: p2o.Options) -> p2o.Matcher:
     """Return the matcher `(views, camera_from_lidar (4, 4), reach_px) -> Objective`: minus the mean share."""
 
     def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> Objective:
-        known = [each for view in views if (each := LanePoleView.of(view, camera_from_lidar, options)) is not None]
+        known = [each for view in views if (each := LanePoleView.of(view, camera_from_lidar)) is not None]
 
         def cost(poses: Float) -> Float:
             return -np.mean([each.share(poses) for each in known], axis=0) if known else np.zeros(len(poses))
@@ -94,7 +88,6 @@ def build(options: CrlfOptions) -> p2o.Matcher:
 METHOD = p2o.Method(
     name="crlf",
     build=build,
-    options=CrlfOptions,
     summary="Aligns points of lanes and poles with lanes and poles of the image.",
     needs={"image-lane-pole", "cloud-lane-pole"},
     gives={"objective"},

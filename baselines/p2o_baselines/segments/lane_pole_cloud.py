@@ -39,20 +39,20 @@ class LanePolePoints(PointFeature):
 
 _LANE_SHARE = 0.03  # share of the ground that reflects as strongly as a lane
 _MAX_RANGE_M = 50.0  # drop points farther than this
+_ASIDE_M = 10.0  # largest lateral distance of lanes (CRLF: 10)
+_CELL_M = 0.7  # size of a column of poles (CRLF: 0.7)
+_BAND_M = 0.2  # half thickness of the ground (CRLF: 0.2)
 
 
 class LanePoleCloudOptions(p2o.Options):
     """Options of the cloud side of `lane-pole`."""
 
-    band_m: float = field(0.2, gt=0, le=2, help="Half thickness of the ground (CRLF: 0.2).")
-    aside_m: float = field(10.0, gt=0, le=100, help="Largest lateral distance of lanes (CRLF: 10).")
-    cell_m: float = field(0.7, gt=0, le=5, help="Size of a column of poles (CRLF: 0.7).")
     pole_top_m: float = field(2.0, gt=0.5, le=50, help="Least height of a pole above the ground (CRLF: 4).")
 
 
 def lanes_of(xyz: Float, height: Float, strength: Float, options: LanePoleCloudOptions) -> Bool:
     """Return which points (N,) are of lanes, given their heights above the ground and reflectance."""
-    ground = (np.abs(height) < options.band_m) & (np.abs(xyz[:, 1]) < options.aside_m)
+    ground = (np.abs(height) < _BAND_M) & (np.abs(xyz[:, 1]) < _ASIDE_M)
     if not ground.any():
         return ground
     level = np.quantile(strength[ground], 1 - _LANE_SHARE)
@@ -62,13 +62,13 @@ def lanes_of(xyz: Float, height: Float, strength: Float, options: LanePoleCloudO
 
 def poles_of(xyz: Float, height: Float, options: LanePoleCloudOptions) -> Bool:
     """Return which points (N,) are of poles, given their heights above the ground."""
-    cell = np.floor(xyz[:, :2] / options.cell_m).astype(np.int64)
+    cell = np.floor(xyz[:, :2] / _CELL_M).astype(np.int64)
     cell -= cell.min(axis=0) - 1
     shape = tuple((cell.max(axis=0) + 2).tolist())
     steps = int(np.ceil(options.pole_top_m / _STEP_M))
     filled = np.zeros((*shape, steps), np.bool_)
     level = np.floor(height / _STEP_M).astype(np.int64)
-    inside = (level >= 0) & (level < steps) & (height > options.band_m)
+    inside = (level >= 0) & (level < steps) & (height > _BAND_M)
     filled[cell[inside, 0], cell[inside, 1], level[inside]] = True
     top = np.full(shape, -np.inf)
     np.maximum.at(top, (cell[:, 0], cell[:, 1]), height)
@@ -78,14 +78,14 @@ def poles_of(xyz: Float, height: Float, options: LanePoleCloudOptions) -> Bool:
     ring = np.ones((5, 5), np.bool_)
     ring[1:4, 1:4] = False
     alone = ~maximum_filter(chest, footprint=ring, mode="constant", cval=False)
-    return np.asarray((high & alone)[cell[:, 0], cell[:, 1]] & (height > options.band_m))
+    return np.asarray((high & alone)[cell[:, 0], cell[:, 1]] & (height > _BAND_M))
 
 
 def extract(cloud: p2o.Cloud, options: LanePoleCloudOptions) -> p2o.CloudFeatures:
     """Return the points of lanes and poles of a sweep."""
     near = rows_in_range(cloud, _MAX_RANGE_M)
     xyz = cloud.xyz[near]
-    plane = ground_of(xyz, np.random.default_rng(0), band_m=options.band_m)
+    plane = ground_of(xyz, np.random.default_rng(0), band_m=_BAND_M)
     if plane is None:
         return p2o.CloudFeatures(features=[LanePolePoints(np.zeros((0, 3)), np.zeros(0, np.int64))])
     height = xyz @ plane[:3] + plane[3]

@@ -38,15 +38,15 @@ _MASK_WEIGHT = 1e-4  # reduction of the cost for each valid mask
 _LEAST_POINTS = 10  # masks with fewer points do not count
 _LEAST_DENSITY = 0.1  # masks with a smaller share of the usual density are ignored
 _POINTS = 8000  # largest number of points per frame, evenly sampled
+_NORMAL_WEIGHT = 0.3  # weight of the agreement of normals
+_STRENGTH_WEIGHT = 0.2  # weight of the agreement of reflectance
+_SEGMENT_WEIGHT = 0.5  # weight of the agreement of segments
 
 
 class MaskOptions(p2o.Options):
-    """Options of `mask-consistency`; weights and limits are those of the code."""
+    """Options of `mask-consistency`."""
 
     masks: str = field("", help="Folder of masks instead of the extractor's: NAME.png, or NAME/*.png with one each.")
-    normal_weight: float = field(0.3, ge=0, le=1, help="Weight of the agreement of normals.")
-    strength_weight: float = field(0.2, ge=0, le=1, help="Weight of the agreement of reflectance.")
-    segment_weight: float = field(0.5, ge=0, le=1, help="Weight of the agreement of segments.")
 
 
 @dataclass(frozen=True)
@@ -102,12 +102,9 @@ class MaskedView:
     segments: int
     per_px: float
     floor_v: tuple[float, float]
-    options: MaskOptions
 
     @classmethod
-    def of(
-        cls, camera: p2o.Camera, masks: ImageMasks, points: CloudSegments, pose: Float, options: MaskOptions
-    ) -> MaskedView | None:
+    def of(cls, camera: p2o.Camera, masks: ImageMasks, points: CloudSegments, pose: Float) -> MaskedView | None:
         """Return the frame projected at a pose; None if no point is in the image."""
         near = camera.in_image(camera.project(p2o.se3.apply(pose, points.xyz)), _MARGIN_PX)
         points = points.select(near).thinned(_POINTS)
@@ -122,7 +119,7 @@ class MaskedView:
         none = int(known[0] == -1)
         segments = max(len(known) - none, 1)
         cell, cosines = cells_of(points.normal)
-        return cls(camera, masks, points, cell, cosines, number - none, segments, per_px, floor, options)
+        return cls(camera, masks, points, cell, cosines, number - none, segments, per_px, floor)
 
     def cost(self, poses: Float) -> Float:
         """Return the cost (B,) of poses (B, 4, 4)."""
@@ -154,16 +151,15 @@ class MaskedView:
         return scores_of(cell, self.cosines, summed(strength), summed(strength**2), by_segment), floor
 
     def _cost(self, poses: Float) -> Float:
-        options = self.options
         scores, floor = self.scores(poses)
         usual = self.masks.area_px * self.per_px
         counts = (scores.count >= _LEAST_POINTS) & (scores.count >= _LEAST_DENSITY * usual)
         weight, segmented = np.where(counts, scores.count, 0.0), np.where(counts, scores.segmented, 0.0)
         total, per_mask = weight.sum(axis=1), segmented.sum(axis=1)
-        gain = options.normal_weight * np.sum(scores.normal * weight, axis=1)
-        gain += options.strength_weight * np.sum(scores.strength * weight, axis=1)
+        gain = _NORMAL_WEIGHT * np.sum(scores.normal * weight, axis=1)
+        gain += _STRENGTH_WEIGHT * np.sum(scores.strength * weight, axis=1)
         gain /= np.maximum(total, 1.0)
-        gain += options.segment_weight * np.sum(scores.segment * segmented, axis=1) / np.maximum(per_mask, 1.0)
+        gain += _SEGMENT_WEIGHT * np.sum(scores.segment * segmented, axis=1) / np.maximum(per_mask, 1.0)
         gain += _MASK_WEIGHT * counts.sum(axis=1)
         enough = floor >= 0.1 * self.per_px * 0.1 * self.camera.height * self.camera.width
         return np.asarray(np.where((total > 0) & (per_mask > 0) & enough, 2.0 - gain, 2.0))
@@ -188,7 +184,7 @@ def build(options: MaskOptions) -> p2o.Matcher:
         shapes, points = masks(view), view.get(CloudSegments.word)
         if shapes is None or points is None or not len(shapes):
             return None
-        return MaskedView.of(view.camera, shapes, points, pose, options)
+        return MaskedView.of(view.camera, shapes, points, pose)
 
     def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> Objective:
         known = [masked(view, camera_from_lidar) for view in views]

@@ -138,12 +138,12 @@ _GRAPH_SIGMA_PX = 0.5  # width of the blur before the graph segments
 _SUPERPIXEL_PX = 60  # size of a superpixel
 _LEAST_SHARE = 1 / 1200  # least share of a mask, or 2000 px if that is less
 _MOST = 255  # largest number of masks; the largest masks are kept
+_GRAPH_SCALES = (100.0, 400.0, 1500.0)  # scales k of graph segments
 
 
 class MasksOptions(p2o.Options):
     """Options of `masks`."""
 
-    graph_scales: tuple[float, ...] = field((100.0, 400.0, 1500.0), max_length=3, help="Scales k of graph segments.")
     superpixels: Literal["none", "slic", "seeds"] = field("none", help="Superpixels that are used as further masks.")
 
 
@@ -172,13 +172,11 @@ def superpixels(rgb: UInt8, kind: str, size_px: int) -> Int:
 
 
 def build(options: MasksOptions) -> p2o.ImageExtractor:
-    """Return the extractor; raises InputError if no kind of mask is enabled."""
-    if not options.graph_scales and options.superpixels == "none":
-        raise p2o.InputError("no kind of mask is enabled", where="masks", expected="graph_scales, superpixels or both")
+    """Return the extractor."""
 
     def extract(image: p2o.Image) -> p2o.ImageFeatures:
         least_px = min(_LEAST_SHARE * image.grey.size, 2000)
-        layers = [graph_segments(image.rgb, k, _GRAPH_SIGMA_PX, least_px) for k in options.graph_scales]
+        layers = [graph_segments(image.rgb, k, _GRAPH_SIGMA_PX, least_px) for k in _GRAPH_SCALES]
         if options.superpixels != "none":
             layers.append(superpixels(image.rgb, options.superpixels, _SUPERPIXEL_PX))
         regions = (shape for layer in layers for shape in parts_of(layer))

@@ -32,12 +32,12 @@ from p2o_baselines.target_method import Sight, TargetOptions
 
 _MOST_ANGLE_DEG = 6.0  # angles between normals of a combination differ by less in both sensors
 _LEAST_VOLUME = 0.02  # minimum determinant of three normals: smaller ones are nearly coplanar
+_COMBINATIONS = 2000  # combinations of three boards that are tried at most
 
 
 class GeigerOptions(TargetOptions):
     """Options of `geiger`."""
 
-    combinations: int = field(2000, ge=1, le=1_000_000, help="Combinations of three boards that are tried at most.")
     seed: int = field(0, ge=0, help="Seed of the sampled combinations.")
 
 
@@ -102,7 +102,7 @@ def residuals(pair: Pair, pose: Float) -> Block:
 
 def build(options: GeigerOptions) -> p2o.Calibrator:
     """Return the calibrator; the closed form is the pose of the best combination, as it came."""
-    hypotheses = Combinations(options.combinations, options.seed)
+    hypotheses = Combinations(_COMBINATIONS, options.seed)
     algorithm = BoardAlgorithm(3, True, lambda pairs, rough: rough, same_cost(residuals), hypotheses=hypotheses)
     return BoardMethod(options, algorithm)
 

@@ -152,12 +152,12 @@ class Gong:
         return self._solved(result, corners, start)
 
     def _solved(self, result: Result, corners: list[Corner], start: Float) -> Result:
-        options, left_out = self.options, 0
+        left_out = 0
         while True:
             rotation = rotation_of(corners, start[:3, :3])
             pose = se3.make(rotation, translation_of(corners, rotation))
             own = [np.zeros(9)] * len(corners)
-            fit = adjusted(corners, pose, own, range_bias_m=options.range_bias_m, camera_px=options.camera_px)
+            fit = adjusted(corners, pose, own)
             off = [
                 float(np.abs(corner.residuals(fit.camera_from_lidar, moves, 0.0)).max())
                 for corner, moves in zip(corners, fit.own, strict=True)

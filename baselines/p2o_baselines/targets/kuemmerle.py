@@ -6,7 +6,7 @@ of each contour ray from the sphere and the range residual of each return, both 
 of every sphere as a further unknown. Three spheres that are not on a line are needed, in one frame or in several.
 
 Departures: the paper estimates the intrinsics of cameras and several sensors in the same problem; here they are given,
-there are two sensors, and only the pose is estimated (`camera_px` is the uncertainty of the intrinsics, for the
+there are two sensors, and only the pose is estimated (`CAMERA_PX` is the uncertainty of the intrinsics, for the
 predicted error). Contours are colour edges around a region of one saturated hue, so a sphere needs a colour that
 differs from the background; they are fitted by the exact cone of the camera's rays, not by an ellipse in the image, so
 that any lens model is possible.
@@ -175,7 +175,7 @@ class Kuemmerle:
 
     def solve(self, prepared: Sequence[Sight], camera_from_lidar: Float) -> Result:
         """Return the pose that aligns the spheres of both sensors. The initial extrinsic is not used."""
-        options, start = self.options, np.asarray(camera_from_lidar, np.float64)
+        start = np.asarray(camera_from_lidar, np.float64)
         result = unsolved(prepared, start)
         outline = "{}: a region of one saturated colour with a round outline"
         bodies = "round regions of one colour, but no sweep has {} that is isolated and that three rings cross"
@@ -196,7 +196,7 @@ class Kuemmerle:
         if wrong:
             return refused(result, wrong, Status.TOO_FEW_MATCHES)
         balls, centres = [Ball(pair) for pair in pairs], [pair.sweep.centre for pair in pairs]
-        fit = adjusted(balls, rough, centres, range_bias_m=options.range_bias_m, camera_px=options.camera_px)
+        fit = adjusted(balls, rough, centres)
         before, after = (_off_px(pairs, pose) for pose in (start, fit.camera_from_lidar))
         return solved(
             result,

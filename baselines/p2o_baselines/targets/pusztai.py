@@ -96,7 +96,7 @@ class Pusztai:
 
     def solve(self, prepared: Sequence[Sight], camera_from_lidar: Float) -> Result:
         """Return the pose at which the corners of both sensors are the same."""
-        options, start = self.options, np.asarray(camera_from_lidar, np.float64)
+        start = np.asarray(camera_from_lidar, np.float64)
         result = unsolved(prepared, start)
         missing = missing_boxes(prepared)
         if missing:
@@ -117,8 +117,7 @@ class Pusztai:
             reason = f"{len(pairs)} of {both} boxes that both sensors see fit one pose: check the size in `targets`"
             return refused(result, reason, Status.TOO_FEW_MATCHES)
         cuboids, rough = [Cuboid(pair) for pair in pairs], from_corners(pairs, pairing.camera_from_lidar)
-        moves, bias_m = [np.zeros(6)] * len(pairs), options.range_bias_m
-        fit = adjusted(cuboids, rough, moves, range_bias_m=bias_m, camera_px=options.camera_px)
+        fit = adjusted(cuboids, rough, [np.zeros(6)] * len(pairs))
         before, after = (_off_px(pairs, pose) for pose in (start, fit.camera_from_lidar))
         solution = solved(
             result,

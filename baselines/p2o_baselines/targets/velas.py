@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 import p2o
@@ -24,8 +25,8 @@ from p2o import Float, Result, Status, se3
 from p2o.solving import Judged
 
 from p2o_baselines import examples
+from p2o_baselines.boards.adjustment import CAMERA_PX, RANGE_BIAS_M
 from p2o_baselines.boards.board_method import REMEDY, BoardMethod, hole_sight_of, off_m
-from p2o_baselines.edges.idt import NEIGHBOURS
 from p2o_baselines.edges.inverse_distance import OnMap, edge_strength, inverse_distance
 from p2o_baselines.edges.ring_discontinuity import ring_jumps
 from p2o_baselines.target_method import Sight, TargetOptions, accuracy_of, uncertainty
@@ -34,6 +35,7 @@ from p2o_baselines.targets.velo2cam import ALGORITHM
 _ALPHA, _GAMMA = 1 / 3, 0.9
 _STEPS = ((0.2, 0.02), (0.1, 0.01), (0.05, 0.005))  # deg and m; no end is surer than the middle ones
 _WALK = 12
+_NEIGHBOURS = np.array([step for step in product((-1.0, 0.0, 1.0), repeat=6) if any(step)])  # steps (728, 6)
 _SAMPLES, _PARTS = 8, 24  # number of resamplings of the jumps, and of the blocks of neighbours that are resampled
 _FINE_DEG = 1.5  # the fine search turns by no more than this about an axis
 _FINE_M = 0.1  # the fine search moves by no more than this along an axis
@@ -99,8 +101,8 @@ class Velas:
     def _shared(self, prepared: Sequence[Scene]) -> Float:
         """Return the covariance (6, 6) of errors that all edges share: of the camera's calibration."""
         focal = float(np.median([scene.camera.focal_px for scene in prepared]))
-        turn = self.options.camera_px / focal
-        return np.diag([turn, turn, turn, self.options.range_bias_m, self.options.range_bias_m, 3 * turn]) ** 2
+        turn = CAMERA_PX / focal
+        return np.diag([turn, turn, turn, RANGE_BIAS_M, RANGE_BIAS_M, 3 * turn]) ** 2
 
 
 def on_map(scene: Scene, camera_from_lidar: Float, most: int) -> OnMap:
@@ -127,7 +129,7 @@ def best_pose(parts: Sequence[OnMap], pose: Float, centre: Float, steps: Sequenc
     """Return the pose of the most correlation that a walk with shrinking steps reaches, within bounds of `centre`."""
     most = np.repeat([np.radians(_FINE_DEG), _FINE_M], 3)
     for deg, metres in steps:
-        around = NEIGHBOURS * np.repeat([np.radians(deg), metres], 3)
+        around = _NEIGHBOURS * np.repeat([np.radians(deg), metres], 3)
         for _ in range(_WALK):
             # A turn about the camera that leaves the LiDAR where it is, and a shift.
             poses = np.concatenate([pose[None], _moved(pose, around)])

@@ -16,6 +16,9 @@ GRAZING_SHARE = 0.6  # the background falls away by at most this share of the ju
 _NEIGHBOUR_M, _NEIGHBOUR_SHARE = 0.8, 0.02  # radius around an edge: in metres, at least this share of the range
 
 
+MAX_POINTS = 40_000  # surface points kept for hidden-surface tests, at most
+
+
 class JumpOptions(Options):
     """Criteria for an occlusion edge between neighbouring returns."""
 
@@ -34,7 +37,6 @@ class JumpOptions(Options):
     shift_beams: float = field(
         0.5, ge=0, le=1, help="Move edges by this share of the gap to the passing beam; the outline lies halfway."
     )
-    max_points: int = field(40_000, ge=0, help="Surface points kept for hidden-surface tests, at most.")
 
 
 _SIGNS = 7

@@ -8,6 +8,7 @@ from p2o import Cloud, CloudEdges, CloudExtractor, CloudFeatures, CloudRemarks, 
 from p2o_plugins.cloud.ground_plane import ground_plane
 from p2o_plugins.cloud.jumps import (
     GRAZING_SHARE,
+    MAX_POINTS,
     MIN_JUMP_SHARE,
     SLANT_RATIO,
     JumpOptions,
@@ -48,7 +49,7 @@ def range_view_edges(cloud: Cloud, options: RangeViewOptions) -> CloudFeatures:
     origin = np.array(options.origin_m)
     seen = scattered(cloud, options.origin_m)
     if len(seen) < 2:
-        return CloudFeatures(CloudEdges.empty(), seen.xyz(slice(0, options.max_points)))
+        return CloudFeatures(CloudEdges.empty(), seen.xyz(slice(0, MAX_POINTS)))
     near = around(seen)
     front = in_front(seen, near, options.min_jump_m, MIN_JUMP_SHARE)
     remarks = _about_origin(1 - float(front.mean()), options)
@@ -68,7 +69,7 @@ def range_view_edges(cloud: Cloud, options: RangeViewOptions) -> CloudFeatures:
         gap *= seen.flat_m[rows] if side in _LEVEL else seen.range_m[rows]
         xyz = ray + options.shift_beams * gap[:, None] * background + origin
         parts.append((rows, side, xyz, support, gap / np.sqrt(12), background))
-    every = slice(None, None, -(-len(seen) // options.max_points)) if options.max_points else slice(0)
+    every = slice(None, None, -(-len(seen) // MAX_POINTS))
     return CloudFeatures(edges_of(seen, parts), seen.xyz(every), features=remarks)
 
 

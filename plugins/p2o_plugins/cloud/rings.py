@@ -12,6 +12,7 @@ from p2o_plugins.cloud.firing_order import rings_in_firing_order
 from p2o_plugins.cloud.ground_plane import ground_plane
 from p2o_plugins.cloud.jumps import (
     GRAZING_SHARE,
+    MAX_POINTS,
     MIN_JUMP_SHARE,
     SLANT_RATIO,
     JumpOptions,
@@ -95,8 +96,7 @@ def ring_edges(cloud: Cloud, options: RingsOptions) -> CloudFeatures:
     paired = float(np.mean(neighbours[Side.LEFT].known)) if len(sweep) else 1.0
     plane = ground_plane(sweep) if options.ground_height_m > 0 else None
     beam, step = neighbours[Side.LEFT].median_gap, neighbours[Side.BOTTOM].median_gap
-    every = slice(None, None, -(-len(sweep) // max(options.max_points, 1)))
-    surface = sweep.xyz(every) if options.max_points and len(sweep) else np.zeros((0, 3))
+    surface = sweep.xyz(slice(None, None, -(-len(sweep) // MAX_POINTS))) if len(sweep) else np.zeros((0, 3))
     looks_up = len(sweep) > 0 and np.degrees(np.arctan(sweep.slope[0])) >= _OPEN_LEAST_DEG
     if options.open_weight > 0 and beam > 0 and looks_up:
         sweep = opened(sweep, beam, _OPEN_GAP_DEG, plane, _OPEN_RANGE_M)

@@ -5,21 +5,13 @@ from __future__ import annotations
 import numpy as np
 from p2o import Image, ImageEdges, ImageExtractor, ImageFeatures, InputError, Method, Options, Side, field, occlusion
 
+_MIN_LENGTH_PX = 5  # connected edges of fewer pixels than this are dropped, side by side
+
 
 class DepthOptions(Options):
     """Criteria for an occlusion edge of a depth map."""
 
     min_jump_m: float = field(0.4, gt=0, help="Smallest step in distance from foreground to background, in metres.")
-    relative_jump: float = field(
-        0.0, ge=0, lt=1, help="Smallest such step as a fraction of the foreground's distance, for noisy depth."
-    )
-    planes: bool = field(
-        True, help="Ask that the step remains where the tangent planes are continued; off floods roads with edges."
-    )
-    min_length_px: int = field(5, ge=1, help="Connected edges of fewer pixels than this are dropped, side by side.")
-    subpixel: bool = field(
-        True, help="Put an edge between foreground and background pixel instead of on the foreground pixel."
-    )
 
 
 def build(options: DepthOptions) -> ImageExtractor:
@@ -44,17 +36,13 @@ def build(options: DepthOptions) -> ImageExtractor:
             image.depth_m,
             image.camera,
             min_jump_m=options.min_jump_m,
-            relative_jump=options.relative_jump,
-            planes=options.planes,
             masked=image.masked,
         )
-        maps = occlusion.without_short(occlusion.side_maps(orders), options.min_length_px)
+        maps = occlusion.without_short(occlusion.side_maps(orders), _MIN_LENGTH_PX)
         uv, side = occlusion.edges_from_maps(maps)
-        if options.subpixel:
-            # The true outline is between the centres of the two pixels. Their midpoint is unbiased on average, whereas
-            # the centre of the foreground pixel would make every object one pixel too narrow.
-            uv = uv + 0.5 * background[side]
-        return ImageFeatures(ImageEdges(uv, side))
+        # The true outline is between the centres of the two pixels. Their midpoint is unbiased on average, whereas the
+        # centre of the foreground pixel would make every object one pixel too narrow.
+        return ImageFeatures(ImageEdges(uv + 0.5 * background[side], side))
 
     return extract
 

@@ -19,6 +19,10 @@ INFINITY = (0.0, 0.0, 0.0)
 
 
 _BLOCK_PX = 3  # window of the matcher in pixels, odd
+_MIN_JUMP_PX = 2.0  # smallest disparity step from background to foreground, in pixels
+_MIN_JUMP_RATIO = 0.12  # smallest such step as a fraction of the foreground disparity
+_MIN_HEIGHT_M = 0.25  # smallest height of the foreground above the ground, in metres
+_MIN_LINE_PX = 5  # lines of fewer edge points than this are dropped
 
 
 class StereoOptions(Options):
@@ -27,12 +31,6 @@ class StereoOptions(Options):
     max_disparity_px: int = field(
         128, ge=16, le=512, help="Largest disparity searched, rounded up to a multiple of 16."
     )
-    min_jump_px: float = field(2.0, gt=0, help="Smallest disparity step from background to foreground, in pixels.")
-    min_jump_ratio: float = field(
-        0.12, ge=0, lt=1, help="Smallest such step as a fraction of the foreground disparity."
-    )
-    min_height_m: float = field(0.25, ge=0, help="Smallest height of the foreground above the ground, in metres.")
-    min_line_px: int = field(5, ge=1, help="Lines of fewer edge points than this are dropped.")
     min_confidence: float = field(0.6, ge=0, le=1, help="Edges less certain than this are dropped.")
 
 
@@ -51,7 +49,7 @@ def silhouettes(left: UInt8, right: UInt8, baseline_m: float, options: StereoOpt
     by_side = {}
     for side in SIDES:
         view, towards = (right_view, (1, 0)) if side is Side.LEFT else (left_view, side.background)
-        v, u = steps(view.disparity, towards, options.min_jump_px, options.min_jump_ratio)
+        v, u = steps(view.disparity, towards, _MIN_JUMP_PX, _MIN_JUMP_RATIO)
         by_side[side] = locate(view, v, u, towards)
     mirrored = by_side[Side.LEFT]
     uv = np.stack([left.shape[1] - 1 - mirrored.uv[:, 0] + mirrored.disparity, mirrored.uv[:, 1]], axis=1)
@@ -61,7 +59,7 @@ def silhouettes(left: UInt8, right: UInt8, baseline_m: float, options: StereoOpt
     for side, candidates in by_side.items():
         sure = candidates
         if plane is not None:
-            sure = sure.select(height_m(sure, plane, baseline_m) > options.min_height_m)
+            sure = sure.select(height_m(sure, plane, baseline_m) > _MIN_HEIGHT_M)
             sure = sure.select(votes_against(left_view, sure, side.background, plane) > MIN_VOTES)
         by_side[side] = sure.select(votes_against(left_view, sure, side.background, INFINITY) > MIN_VOTES)
     return by_side
@@ -100,7 +98,7 @@ def build(options: StereoOptions) -> ImageExtractor:
             if image.masked is not None:
                 u, v = np.clip(candidates.pixels(side.background), 0, (size[1] - 1, size[0] - 1)).T
                 keep &= ~image.masked[v, u]
-            keep[keep] = line_lengths(candidates.uv[keep], size) >= options.min_line_px
+            keep[keep] = line_lengths(candidates.uv[keep], size) >= _MIN_LINE_PX
             parts.append((candidates.uv[keep], np.full(keep.sum(), side, np.int8), certain[keep]))
         uv, sides, weight = (np.concatenate(column) for column in zip(*parts, strict=True))
         return ImageFeatures(p2o.ImageEdges(uv, sides, weight))

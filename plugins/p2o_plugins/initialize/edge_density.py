@@ -12,7 +12,7 @@ from p2o.solving import ipp_disabled
 
 Float32 = NDArray[np.float32]
 
-_FOCAL_PX, _MOST_PX, _WIDEST_TAN = 720.0, 1300.0, 1.7
+_FOCAL_PX, _MOST_PX = 720.0, 1300.0
 """Focal length of the pinhole model of every camera (smaller if the image exceeded N pixels), up to 60 degrees off
 axis.
 
@@ -148,14 +148,10 @@ class DensityAt:
 
 def _pinhole(camera: Camera) -> tuple[float, tuple[float, float], tuple[int, int]] | None:
     """Return focal length, principal point and (width, height) of the pinhole model that replaces a camera."""
-    u, v = np.linspace(0, camera.width - 1, 25), np.linspace(0, camera.height - 1, 25)
-    rays = camera.rays(np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        plane = rays[:, :2] / rays[:, 2:]
-    plane = plane[np.isfinite(plane).all(axis=1) & (rays[:, 2] > 0)]
-    if not len(plane):
+    extent = camera.extent()
+    if extent is None:
         return None
-    low, high = (np.clip(end, -_WIDEST_TAN, _WIDEST_TAN) for end in (plane.min(axis=0), plane.max(axis=0)))
+    low, high = extent
     focal = min(_FOCAL_PX, _MOST_PX / max(float((high - low).max()), 1e-3))
     size = np.maximum(np.ceil((high - low) * focal).astype(int) + 1, 2)
     return focal, (float(-low[0] * focal), float(-low[1] * focal)), (int(size[0]), int(size[1]))

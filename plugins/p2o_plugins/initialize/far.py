@@ -11,17 +11,18 @@ from p2o.solving import SearchBox
 
 from p2o_plugins.initialize.edge_density import DensityAt, EdgeDensity
 
+_SCATTER = 65536  # poses spread over the box, rounded up to a power of two
+_KEPT = 2000  # best separate of them that are led uphill
+_PROPOSALS = 5  # best ends that are handed on
+_MAX_POINTS = 1500  # LiDAR edge points used, evenly thinned over all frames
+_MAX_FRAMES = 12  # frames used, evenly taken of a larger group; the others join afterwards
+
 
 class FarOptions(Options):
     """Options of the far search."""
 
     reach_deg: float = field(20.0, gt=0, le=60, help="Half size of the box about each axis of the camera.")
     reach_m: float = field(1.5, gt=0, le=10, help="Half size of the box along each axis of the camera.")
-    scatter: int = field(65536, ge=1024, le=10_000_000, help="Poses spread over the box, rounded up to a power of two.")
-    kept: int = field(2000, ge=10, le=100_000, help="Best separate of them that are led uphill.")
-    proposals: int = field(5, ge=1, le=100, help="Best ends that are handed on.")
-    max_points: int = field(1500, ge=50, help="LiDAR edge points used, evenly thinned over all frames.")
-    max_frames: int = field(12, ge=1, help="Frames used, evenly taken of a larger group; the others join afterwards.")
     seed: int = field(0, ge=0, help="Seed of the random generator.")
 
 
@@ -56,10 +57,10 @@ class Far(InitializerBase):
         """Return up to `proposals` poses (4, 4)."""
         options, box = self.options, SearchBox(*self.reach)
         rng = np.random.default_rng(options.seed)
-        rows = np.unique(np.linspace(0, len(views) - 1, min(len(views), options.max_frames)).astype(int))
+        rows = np.unique(np.linspace(0, len(views) - 1, min(len(views), _MAX_FRAMES)).astype(int))
         chosen = [views[row] for row in rows]
         reachable = [_reachable(view, camera_from_lidar, options, rng) for view in chosen]
-        density = EdgeDensity.of(chosen, camera_from_lidar, reachable, options.max_points)
+        density = EdgeDensity.of(chosen, camera_from_lidar, reachable, _MAX_POINTS)
         if not density.points:
             return [camera_from_lidar]
         moves = _spread(density.at(np.radians(_SPREAD[0]), _SPREAD[1]), options)
@@ -70,11 +71,11 @@ class Far(InitializerBase):
             moves, score = moves[inside], score[inside]
             if not len(moves):
                 return [camera_from_lidar]
-            most = max(options.proposals, round(share * options.kept))
+            most = max(_PROPOSALS, round(share * _KEPT))
             moves = moves[_separate(_tangents(moves) / unit, score, most)]
         poses = [np.asarray(move @ camera_from_lidar) for move in moves]
         poses.sort(key=lambda pose: not box.has(camera_from_lidar, pose))
-        return poses[: options.proposals]
+        return poses[:_PROPOSALS]
 
 
 def _unit(deg: float, metres: float) -> Float:
@@ -109,12 +110,12 @@ def _spread(score: DensityAt, options: FarOptions) -> Float:
     """Return the best distinct transforms (N, 4, 4) of samples that fill the box evenly."""
     from scipy.stats import qmc
 
-    power = int(np.ceil(np.log2(options.scatter)))
+    power = int(np.ceil(np.log2(_SCATTER)))
     even = qmc.Sobol(6, scramble=True, seed=options.seed).random_base2(power)
     tangents = (2.0 * even - 1.0) * _BEYOND * _unit(options.reach_deg, options.reach_m)
     parts = np.array_split(tangents, -(-len(tangents) // 4096))
     scores = np.concatenate([score(_moves(part)) for part in parts])
-    return _moves(tangents[_separate(tangents / _unit(*_SPREAD), scores, options.kept)])
+    return _moves(tangents[_separate(tangents / _unit(*_SPREAD), scores, _KEPT)])
 
 
 def _separate(places: Float, score: Float, most: int) -> Int:

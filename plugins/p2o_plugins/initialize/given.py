@@ -7,11 +7,7 @@ from collections.abc import Sequence
 from p2o import Float, Initializer, Method, Options, View
 
 
-class GivenOptions(Options):
-    """No options: the initial guess is used unchanged."""
-
-
-def build(options: GivenOptions) -> Initializer:
+def build(options: Options) -> Initializer:
     """Return an initializer that proposes only the given pose."""
 
     def initialize(views: Sequence[View], camera_from_lidar: Float) -> list[Float]:
@@ -23,7 +19,6 @@ def build(options: GivenOptions) -> Initializer:
 METHOD = Method(
     name="given",
     build=build,
-    options=GivenOptions,
     summary="Starts at the given pose (the paper's own procedure).",
     needs=frozenset(),
     cite="P2O-Calib, Sec. III-D",

@@ -7,22 +7,23 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from p2o import Float, Initializer, Method, View, field, se3
+from p2o import Float, Initializer, Method, Options, View, field, se3
 from p2o.solving import DirectedCost
 
-from p2o_plugins.initialize.search import MOST_VIEWS, NARROWEST_PX, NarrowOptions, coarse_maps, narrow
+from p2o_plugins.initialize.search import MAX_POINTS, MOST_VIEWS, NARROWEST_PX, coarse_maps, narrow
 
 _GRID_PX = 40.0  # truncation of the distances on the grid
+_GRID_POINTS = 1500  # LiDAR edge points used on the grid, evenly thinned over all frames
+_BASINS = 5  # best separate cells of the grid that are narrowed
+_SIGMA_DEG = 1.0  # standard deviation about each axis when a basin is narrowed
 
 
-class GridOptions(NarrowOptions):
-    """Options of the grid; the inherited ones control the refinement of each basin."""
+class GridOptions(Options):
+    """Options of the grid."""
 
-    sigma_deg: float = field(1.0, gt=0, le=60, help="Standard deviation about each axis when a basin is narrowed.")
     max_angle_deg: float = field(12.0, gt=0, le=45, help="Half width of the grid about each axis.")
     step_deg: float = field(1.5, gt=0.05, le=10, help="Step of the grid about each axis (the paper: 1 deg).")
-    grid_points: int = field(1500, ge=50, help="LiDAR edge points used on the grid, evenly thinned over all frames.")
-    basins: int = field(5, ge=1, le=50, help="Best separate cells of the grid that are narrowed.")
+    seed: int = field(0, ge=0, help="Seed of the random generator.")
 
 
 def build(options: GridOptions) -> Initializer:
@@ -34,13 +35,13 @@ def build(options: GridOptions) -> Initializer:
         # rotation.
         margin = max(view.camera.focal_px for view in views) * np.tan(np.radians(options.max_angle_deg))
         cost = partial(DirectedCost.of, views, camera_from_lidar, margin_px=float(margin), max_views=MOST_VIEWS)
-        coarse = cost(_GRID_PX, scale=4, max_points=options.grid_points)
+        coarse = cost(_GRID_PX, scale=4, max_points=_GRID_POINTS)
         if not coarse.points:
             return [camera_from_lidar]
         starts = [se3.exp(t) @ camera_from_lidar for t in _basins(coarse, camera_from_lidar, options)]
         known: dict[tuple[object, ...], Any] = {}
-        narrowed = [narrow(coarse_maps(views, s, options, known), s, options, rng) for s in starts]
-        judge = cost(NARROWEST_PX, max_points=options.max_points)
+        narrowed = [narrow(coarse_maps(views, s, known), s, _SIGMA_DEG, rng) for s in starts]
+        judge = cost(NARROWEST_PX, max_points=MAX_POINTS)
         order = np.argsort(judge(np.stack(narrowed)), kind="stable")
         return [narrowed[i] for i in order]
 
@@ -60,7 +61,7 @@ def _basins(cost: DirectedCost, start: Float, options: GridOptions) -> list[Floa
     for i in np.argsort(values, kind="stable"):
         if all(np.linalg.norm(turns[i] - turns[j]) > 2 * options.step_deg for j in chosen):
             chosen.append(int(i))
-        if len(chosen) == options.basins:
+        if len(chosen) == _BASINS:
             break
     return [tangents[i] for i in chosen]
 

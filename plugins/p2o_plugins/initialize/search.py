@@ -11,25 +11,20 @@ import numpy as np
 from p2o import Float, Initializer, InitializerBase, Method, Options, View, field, se3
 from p2o.solving import DirectedCost
 
-
-class NarrowOptions(Options):
-    """Options of the refinement of a population of poses; shared with `grid`."""
-
-    population: int = field(400, ge=20, le=100_000, help="Poses evaluated in each generation.")
-    sigma_deg: float = field(2.0, gt=0, le=60, help="Standard deviation of the first generation about each axis.")
-    sigma_m: float = field(0.1, ge=0, le=5, help="Standard deviation of the first generation along each axis.")
-    max_points: int = field(4000, ge=50, help="LiDAR edge points used, evenly thinned over all frames.")
-    seed: int = field(0, ge=0, help="Seed of the random generator.")
-
-
+_POPULATION = 400  # poses evaluated in each generation
+_SIGMA_DEG, _SIGMA_M = 2.0, 0.1  # standard deviation of the first generation about and along each axis
+MAX_POINTS = 4000  # LiDAR edge points used, evenly thinned over all frames
 _GENERATIONS = 12  # number of generations
 _ELITE = 0.1  # share of the population that shapes the next generation
 _WIDEST_PX = 40.0  # truncation of the distances in the first generation
 NARROWEST_PX = 8.0  # truncation of the distances in the last generation
 _FINEST_PX = 4.0  # truncation of the distances at which basins end and are ranked
+_SCATTER = 3000  # poses drawn around the start, to find further basins
+_BASINS = 12  # number of them, the best and separate, that are narrowed
+_PROPOSALS = 3  # best basins that are handed on
 
 
-class SearchOptions(NarrowOptions):
+class SearchOptions(Options):
     """Options of the population search."""
 
     prior: float = field(
@@ -37,14 +32,12 @@ class SearchOptions(NarrowOptions):
         ge=0,
         help="One sigma away from the start costs as much as this many LiDAR edges without an image edge; 0: off.",
     )
-    scatter: int = field(3000, ge=100, le=1_000_000, help="Poses drawn around the start, to find further basins.")
-    basins: int = field(12, ge=1, le=1000, help="Number of them, the best and separate, that are narrowed.")
-    proposals: int = field(3, ge=1, le=100, help="Best basins that are handed on.")
+    seed: int = field(0, ge=0, help="Seed of the random generator.")
 
 
 # A basin is refined by small populations with an initial width of about its own, in units of sigma.
 _BASIN_SPREAD, _BASIN_POPULATION, _BASIN_GENERATIONS = 0.3, 80, 5
-# Initial poses closer than this, in units of sigma_deg, and final poses closer than this, in degrees, are one basin.
+# Initial poses closer than this, in units of sigma, and final poses closer than this, in degrees, are one basin.
 _SEPARATE_SIGMA, _SEPARATE_DEG = 0.5, 0.6
 _DRAWS_AT_ONCE = 2_000
 MOST_VIEWS = 64
@@ -67,23 +60,23 @@ class Search(InitializerBase):
         """Return initial poses (4, 4), best first, and the given one last."""
         options = self.options
         rng = np.random.default_rng(options.seed)
-        maps = coarse_maps(views, camera_from_lidar, options)
+        maps = coarse_maps(views, camera_from_lidar)
         near = maps[_scale(NARROWEST_PX)]
         if not near.points:
             return [camera_from_lidar]
-        poses = [narrow(maps, camera_from_lidar, options, rng, options.prior)]
-        poses += _scattered(near, camera_from_lidar, options, rng)
+        poses = [narrow(maps, camera_from_lidar, _SIGMA_DEG, rng, options.prior)]
+        poses += _scattered(near, camera_from_lidar, options.prior, rng)
         order = np.argsort(near.truncated(_FINEST_PX)(np.stack(poses)), kind="stable")
         apart: list[Float] = []
         for pose in (poses[i] for i in order):
             if all(se3.angle_deg(pose @ se3.inverse(other)) > _SEPARATE_DEG for other in apart):
                 apart.append(pose)
-        return [*apart[: options.proposals], camera_from_lidar]
+        return [*apart[:_PROPOSALS], camera_from_lidar]
 
     @property
-    def start_sigma(self) -> tuple[float, float] | None:
+    def start_sigma(self) -> tuple[float, float]:
         """Standard deviation of the initial guesses in deg and m that are searched."""
-        return (self.options.sigma_deg, self.options.sigma_m) if self.options.sigma_m > 0 else None
+        return _SIGMA_DEG, _SIGMA_M
 
 
 def build(options: SearchOptions) -> Initializer:
@@ -91,16 +84,16 @@ def build(options: SearchOptions) -> Initializer:
     return Search(options)
 
 
-def _scattered(maps: DirectedCost, start: Float, options: SearchOptions, rng: np.random.Generator) -> list[Float]:
+def _scattered(maps: DirectedCost, start: Float, prior: float, rng: np.random.Generator) -> list[Float]:
     """Return the poses to which narrow searches converge from the best of many poses sampled around `start`."""
-    unit, coarse = _unit(options), maps.truncated(NARROWEST_PX)
-    draws = rng.standard_normal((options.scatter, 6))
+    unit, coarse = _unit(_SIGMA_DEG), maps.truncated(NARROWEST_PX)
+    draws = rng.standard_normal((_SCATTER, 6))
     draws[0] = 0.0
     parts = np.array_split(draws, -(-len(draws) // _DRAWS_AT_ONCE))
-    values = np.concatenate([_value(coarse, part, unit, start, options.prior) for part in parts])
+    values = np.concatenate([_value(coarse, part, unit, start, prior) for part in parts])
     rest = np.argsort(values, kind="stable")
     chosen: list[int] = []
-    while len(rest) and len(chosen) < options.basins:
+    while len(rest) and len(chosen) < _BASINS:
         chosen.append(int(rest[0]))
         turned_away = np.linalg.norm(draws[rest, :3] - draws[rest[0], :3], axis=1)
         rest = rest[turned_away > _SEPARATE_SIGMA]
@@ -108,13 +101,12 @@ def _scattered(maps: DirectedCost, start: Float, options: SearchOptions, rng: np
     costs, keep = [maps.truncated(float(width)) for width in widths], _kept(_BASIN_POPULATION)
     # The result equals refining one basin after the other; all basins share each step, which needs fewer calls.
     normals = np.moveaxis(rng.standard_normal((len(chosen), len(costs), _BASIN_POPULATION, 6)), 1, 0)
-    return list(_narrowed(costs, normals, start, unit, draws[chosen], _BASIN_SPREAD, keep, options.prior))
+    return list(_narrowed(costs, normals, start, unit, draws[chosen], _BASIN_SPREAD, keep, prior))
 
 
 def coarse_maps(
     views: Sequence[View],
     around: Float,
-    options: NarrowOptions,
     known: dict[tuple[object, ...], Any] | None = None,
 ) -> dict[int, DirectedCost]:
     """Return the directed cost at `_WIDEST_PX` for every scale of maps that the refinement needs, by scale.
@@ -123,7 +115,7 @@ def coarse_maps(
     """
     widest = _scale(_WIDEST_PX)
     scales = sorted({_scale(NARROWEST_PX), *(2**n for n in range(8) if 2**n < widest), widest})
-    limits = {"max_points": options.max_points, "max_views": MOST_VIEWS}
+    limits = {"max_points": MAX_POINTS, "max_views": MOST_VIEWS}
     cost = partial(DirectedCost.of, views, around, _WIDEST_PX, smooth=False, known=known, **limits)
     return {scale: cost(scale=scale) for scale in scales}
 
@@ -136,7 +128,7 @@ def _scale(width_px: float) -> int:
 def narrow(
     maps: dict[int, DirectedCost],
     start: Float,
-    options: NarrowOptions,
+    sigma_deg: float,
     rng: np.random.Generator,
     prior: float = 0.0,
 ) -> Float:
@@ -153,9 +145,9 @@ def narrow(
     if not costs[0].points:
         return start
     costs = [costs[min(3, generation * 4 // _GENERATIONS)] for generation in range(_GENERATIONS)]
-    keep = _kept(options.population)
-    normals = (rng.standard_normal((1, options.population, 6)) for _ in costs)
-    (end,) = _narrowed(costs, normals, start, _unit(options), np.zeros((1, 6)), 1.0, keep, prior)
+    keep = _kept(_POPULATION)
+    normals = (rng.standard_normal((1, _POPULATION, 6)) for _ in costs)
+    (end,) = _narrowed(costs, normals, start, _unit(sigma_deg), np.zeros((1, 6)), 1.0, keep, prior)
     return np.asarray(end)
 
 
@@ -190,9 +182,9 @@ def _narrowed(
     return np.asarray(se3.exp(mean * unit) @ start)
 
 
-def _unit(options: NarrowOptions) -> Float:
+def _unit(sigma_deg: float) -> Float:
     """Return one sigma of each of the six parameters (6,), rad and m."""
-    return np.concatenate([np.full(3, np.radians(options.sigma_deg)), np.full(3, max(options.sigma_m, 1e-9))])
+    return np.repeat([np.radians(sigma_deg), _SIGMA_M], 3)
 
 
 def _kept(population: int) -> int:

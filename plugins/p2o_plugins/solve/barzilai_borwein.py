@@ -6,54 +6,36 @@ gradient. Unlike the original, the unknowns are in units (degrees against metres
 replaced by twice the last one. Public third-party code steps rotation and translation alternately.
 
 Costs of projected points are rough: their derivative at a point leads to the next of many minima. Descents with
-derivatives by differences over the steps of `schedule`, from coarse to fine, precede the descent with the gradient.
+derivatives by differences over the steps of `_SCHEDULE`, from coarse to fine, precede the descent with the gradient.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Annotated
 
 import numpy as np
 import p2o
 from p2o import Float
-from pydantic import Field
 
 from p2o_plugins.solve.scalar_cost import ScalarCost, scalar_solver
-
-Positive = Annotated[float, Field(gt=0, le=100)]
-
 
 _UNIT_DEG = 0.5  # rotation equivalent to `_UNIT_M`
 _UNIT_M = 0.03  # translation equivalent to `_UNIT_DEG`
 _FIRST = 0.25  # length of the first step, in units
 _LONGEST = 1.0  # largest length of a step, in units
+_MAX_ITERATIONS = 300  # largest number of steps of a descent, including rejected ones
+_TOLERANCE = 1e-5  # stop if a step is shorter than this, in units
+_SCHEDULE = ((1.0, 0.1), (0.5, 0.05), (0.25, 0.025))
+"""Steps (deg, m) of derivatives by differences, with each of which a descent precedes that with the gradient."""
 
 
-class BarzilaiBorweinOptions(p2o.Options):
-    """Options of `barzilai-borwein`."""
-
-    schedule: tuple[tuple[Positive, Positive], ...] = p2o.field(
-        ((1.0, 0.1), (0.5, 0.05), (0.25, 0.025)),
-        max_length=20,
-        help="Steps [[deg, m], ...] of derivatives by differences, with each of which a descent is made before that "
-        "with the gradient; [] for none.",
-    )
-    box_deg: float = p2o.field(0.0, ge=0, le=90, help="Bound of each rotation from the initial pose; 0 for no bound.")
-    box_m: float = p2o.field(0.0, ge=0, le=100, help="Bound of each translation from the initial pose; 0 for no bound.")
-    max_iterations: int = p2o.field(300, ge=1, help="Largest number of steps of a descent, including rejected ones.")
-    tolerance: float = p2o.field(1e-5, gt=0, help="Stop if a step is shorter than this, in units.")
-
-
-def build(options: BarzilaiBorweinOptions) -> p2o.Solver:
+def build(options: p2o.Options) -> p2o.Solver:
     """Return the solver `(Problem, camera_from_lidar (4, 4)) -> Solution`."""
-    reach = np.repeat([options.box_deg / _UNIT_DEG, options.box_m / _UNIT_M], 3)
-    reach[reach == 0] = np.inf
 
     def minimise(cost: ScalarCost) -> p2o.Solution:
         x, iterations, converged = np.zeros(6), 0, False
-        for step in options.schedule:
+        for step in _SCHEDULE:
             x, spent, _ = descend(cost, x, partial(cost.differences, step_deg=step[0], step_m=step[1]))
             iterations += spent
         x, spent, converged = descend(cost, x, cost.gradient)
@@ -63,13 +45,13 @@ def build(options: BarzilaiBorweinOptions) -> p2o.Solver:
         """Return where a descent from x (6,) ends, the number of its steps, and whether it converged."""
         lowest, slope = cost.one(x), gradient(x)
         gamma = _FIRST / max(float(np.linalg.norm(slope)), np.finfo(float).tiny)
-        for iteration in range(1, options.max_iterations + 1):
+        for iteration in range(1, _MAX_ITERATIONS + 1):
             step = -gamma * slope
             length = float(np.linalg.norm(step))
             step *= min(1.0, _LONGEST / max(length, np.finfo(float).tiny))
-            trial = np.clip(x + step, -reach, reach)
+            trial = x + step
             step = trial - x
-            if np.linalg.norm(step) < options.tolerance:
+            if np.linalg.norm(step) < _TOLERANCE:
                 return x, iteration, True
             trial_cost = cost.one(trial)
             if not trial_cost < lowest:
@@ -79,7 +61,7 @@ def build(options: BarzilaiBorweinOptions) -> p2o.Solver:
             bend = float(step @ (ahead - slope))
             gamma = float(step @ step) / bend if bend > 0 else 2 * gamma
             x, lowest, slope = trial, trial_cost, ahead
-        return x, options.max_iterations, False
+        return x, _MAX_ITERATIONS, False
 
     return scalar_solver(minimise, _UNIT_DEG, _UNIT_M)
 
@@ -87,7 +69,6 @@ def build(options: BarzilaiBorweinOptions) -> p2o.Solver:
 METHOD = p2o.Method(
     name="barzilai-borwein",
     build=build,
-    options=BarzilaiBorweinOptions,
     summary="Gradient descent with Barzilai and Borwein's step length on any scalar cost.",
     needs={"objective"},
     cite="Barzilai and Borwein, IMA Journal of Numerical Analysis 8, 1988; Pandey et al., AAAI 2012",

@@ -17,6 +17,9 @@ from p2o_plugins.solve.scalar_cost import ScalarCost, scalar_solver
 _HIGHEST = 1e3  # the scaled cost of poses without one, from which the line search can interpolate
 _UNIT_DEG = 0.5  # rotation equivalent to `_UNIT_M` in the first step
 _UNIT_M = 0.02  # translation equivalent to `_UNIT_DEG` in the first step
+_MAX_ITERATIONS = 100  # largest number of steps over all restarts
+_RESTARTS = 1  # restarts without the previous curvature, as long as they lower the cost
+_TOLERANCE = 1e-9  # stop if a step lowers the cost by less than this share of the gain that the first slope predicts
 
 
 class BfgsOptions(p2o.Options):
@@ -24,13 +27,6 @@ class BfgsOptions(p2o.Options):
 
     box_deg: float = p2o.field(2.0, ge=0, le=90, help="Bound of each rotation from the initial pose; 0 for no bound.")
     box_m: float = p2o.field(0.2, ge=0, le=100, help="Bound of each translation from the initial pose; 0 for no bound.")
-    max_iterations: int = p2o.field(100, ge=1, help="Largest number of steps over all restarts.")
-    restarts: int = p2o.field(1, ge=0, help="Restarts without the previous curvature, as long as they lower the cost.")
-    tolerance: float = p2o.field(
-        1e-9,
-        gt=0,
-        help="Stop if a step lowers the cost by less than this share of the gain that the first slope predicts.",
-    )
 
 
 def build(options: BfgsOptions) -> p2o.Solver:
@@ -43,14 +39,14 @@ def build(options: BfgsOptions) -> p2o.Solver:
 
     def minimise(cost: ScalarCost) -> p2o.Solution:
         best, spent, converged = np.zeros(6), 0, True
-        for _ in range(options.restarts + 1):
-            reached, steps, gained = descend(cost, best, max(options.max_iterations - spent, 1))
+        for _ in range(_RESTARTS + 1):
+            reached, steps, gained = descend(cost, best, max(_MAX_ITERATIONS - spent, 1))
             spent += steps
             if gained > 0:
                 best = reached
             # A failed line search means that rounding errors or the sampling of an image limit further progress.
-            converged = spent < options.max_iterations
-            if not converged or gained <= options.tolerance:
+            converged = spent < _MAX_ITERATIONS
+            if not converged or gained <= _TOLERANCE:
                 break
         return cost.solution(best, spent, converged=converged)
 
@@ -75,7 +71,7 @@ def build(options: BfgsOptions) -> p2o.Solver:
             jac=lambda x: cost.gradient(x) / scale,
             method="L-BFGS-B",
             bounds=[(-r, r) for r in reach],
-            options={"maxiter": most, "ftol": options.tolerance, "gtol": 1e-12},
+            options={"maxiter": most, "ftol": _TOLERANCE, "gtol": 1e-12},
         )
         return fit.x, int(fit.nit), -scaled(fit.x)
 

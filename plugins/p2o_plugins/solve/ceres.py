@@ -16,17 +16,11 @@ from p2o.solving import Problem, checked_solution, import_keeping_signals, linea
 
 from p2o_plugins.solve.lm import MAX_CONDITION
 
-
-class CeresOptions(p2o.Options):
-    """Options of `ceres`."""
-
-    max_iterations: int = p2o.field(100, ge=1, help="Largest number of steps (max_num_iterations of Ceres).")
-    tolerance: float = p2o.field(
-        1e-12, gt=0, help="Relative change of cost or unknowns at which to stop (function and parameter tolerance)."
-    )
+_MAX_ITERATIONS = 100  # largest number of steps (max_num_iterations of Ceres)
+_TOLERANCE = 1e-12  # relative change of cost or unknowns at which to stop (function and parameter tolerance)
 
 
-def build(options: CeresOptions) -> p2o.Solver:
+def build(options: p2o.Options) -> p2o.Solver:
     """Return the solver `(LeastSquares, camera_from_lidar (4, 4)) -> Solution`; ModuleNotFoundError sans pyceres."""
     pyceres = import_keeping_signals("pyceres")
 
@@ -59,8 +53,8 @@ def build(options: CeresOptions) -> p2o.Solver:
         block, ceres_problem = Pairs(pairs, start), pyceres.Problem()
         ceres_problem.add_residual_block(block, None, [delta])
         settings, summary = pyceres.SolverOptions(), pyceres.SolverSummary()
-        settings.max_num_iterations = options.max_iterations
-        settings.function_tolerance = settings.parameter_tolerance = options.tolerance
+        settings.max_num_iterations = _MAX_ITERATIONS
+        settings.function_tolerance = settings.parameter_tolerance = _TOLERANCE
         settings.gradient_tolerance = 0.0
         settings.linear_solver_type = pyceres.LinearSolverType.DENSE_NORMAL_CHOLESKY
         settings.num_threads = 1  # there is one block
@@ -88,7 +82,6 @@ def robust_roots(residuals: Float, huber: float) -> tuple[Float, Float]:
 METHOD = p2o.Method(
     name="ceres",
     build=build,
-    options=CeresOptions,
     summary="Ceres Solver with a Huber loss per pair, as in the paper.",
     needs={"residuals"},
     cite="Agarwal, Mierle and others, Ceres Solver, 2022",

@@ -10,6 +10,7 @@ import p2o
 from p2o_plugins.solve.scalar_cost import ScalarCost, scalar_solver
 
 _SIGMA = 0.3  # initial standard deviation of the population, as a share of the box
+_TOLERANCE = 1e-4  # stop at this width of the population, as a share of the box
 
 
 class CmaEsOptions(p2o.Options):
@@ -19,7 +20,6 @@ class CmaEsOptions(p2o.Options):
     box_m: float = p2o.field(0.3, gt=0, le=100, help="Search range of each translation around the initial pose.")
     population: int = p2o.field(24, ge=4, le=10_000, help="Candidates per generation.")
     generations: int = p2o.field(150, ge=1, help="Largest number of generations.")
-    tolerance: float = p2o.field(1e-4, gt=0, help="Stop at this width of the population, as a share of the box.")
     seed: int = p2o.field(0, ge=0, help="Random seed.")
 
 
@@ -33,7 +33,7 @@ def build(options: CmaEsOptions) -> p2o.Solver:
             "bounds": [-1.0, 1.0],
             "popsize": options.population,
             "maxiter": options.generations,
-            "tolx": options.tolerance,
+            "tolx": _TOLERANCE,
             "tolfun": 0.0,
             "tolfunhist": 0.0,
             # The package's own samples come from NumPy's global random state; these come from a seeded generator.

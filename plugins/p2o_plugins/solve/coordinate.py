@@ -14,24 +14,19 @@ from p2o_plugins.solve.scalar_cost import ScalarCost, scalar_solver
 
 _SHRINK = 0.6  # factor on the step of an axis if neither direction is better
 _GROW = 1.3  # factor on the step of an axis if one direction is better, up to the first step
+_TOLERANCE = 4e-3  # stop if all steps are below this share of the first ones
+_MAX_SWEEPS = 300  # largest number of passes over all axes
+_STEP_DEG = 0.2  # first step of the three rotations
+_STEP_M = 0.02  # first step of the three translations
 
 
-class CoordinateOptions(p2o.Options):
-    """Options of `coordinate`."""
-
-    step_deg: float = p2o.field(0.2, gt=0, le=30, help="First step of the three rotations.")
-    step_m: float = p2o.field(0.02, gt=0, le=10, help="First step of the three translations.")
-    tolerance: float = p2o.field(4e-3, gt=0, lt=1, help="Stop if all steps are below this share of the first ones.")
-    max_sweeps: int = p2o.field(300, ge=1, help="Largest number of passes over all axes.")
-
-
-def build(options: CoordinateOptions) -> p2o.Solver:
+def build(options: p2o.Options) -> p2o.Solver:
     """Return the solver `(Problem, camera_from_lidar (4, 4)) -> Solution`, without covariance."""
 
     def minimise(cost: ScalarCost) -> p2o.Solution:
         here, steps, sweeps = np.zeros(6), np.ones(6), 0
         least = cost.one(here)
-        while sweeps < options.max_sweeps and steps.max() >= options.tolerance:
+        while sweeps < _MAX_SWEEPS and steps.max() >= _TOLERANCE:
             before, sweeps = here.copy(), sweeps + 1
             for axis in range(6):
                 both = here + np.outer((-steps[axis], steps[axis]), np.eye(6)[axis])
@@ -48,16 +43,15 @@ def build(options: CoordinateOptions) -> p2o.Solver:
                 best = int(np.argmin(costs))
                 if costs[best] < least:
                     here, least = ahead[best], float(costs[best])
-        converged = bool(steps.max() < options.tolerance)
+        converged = bool(steps.max() < _TOLERANCE)
         return cost.solution(here, sweeps, converged=converged, covariance=False)
 
-    return scalar_solver(minimise, options.step_deg, options.step_m)
+    return scalar_solver(minimise, _STEP_DEG, _STEP_M)
 
 
 METHOD = p2o.Method(
     name="coordinate",
     build=build,
-    options=CoordinateOptions,
     summary="Search along the six axes with adaptive steps, on any scalar cost.",
     needs={"objective"},
     cite="Hooke and Jeeves, Direct Search Solution of Numerical and Statistical Problems, JACM 8, 1961",

@@ -20,20 +20,15 @@ from p2o_plugins.solve.scalar_cost import ended, unsolvable
 NEIGHBOURS = np.array(list(product((-1.0, 0.0, 1.0), repeat=6)))
 """The changes (729, 6) in steps; number 364, the middle one, is zero."""
 _SHRINK = 0.5  # factor on the steps if no neighbour is better
+_LEVELS = 6  # number of step sizes
+_MAX_MOVES = 60  # largest number of moves over all step sizes
+_STEP_DEG = 0.25  # first step of the three rotations
+_STEP_M = 0.025  # first step of the three translations
 
 
-class Grid729Options(p2o.Options):
-    """Options of `grid729`."""
-
-    step_deg: float = p2o.field(0.25, gt=0, le=30, help="First step of the three rotations.")
-    step_m: float = p2o.field(0.025, gt=0, le=10, help="First step of the three translations.")
-    levels: int = p2o.field(6, ge=1, le=30, help="Number of step sizes.")
-    max_moves: int = p2o.field(60, ge=1, help="Largest number of moves over all step sizes.")
-
-
-def build(options: Grid729Options) -> p2o.Solver:
+def build(options: p2o.Options) -> p2o.Solver:
     """Return the solver `(Problem, camera_from_lidar (4, 4)) -> Solution`, without covariance."""
-    first = np.repeat([np.radians(options.step_deg), options.step_m], 3)
+    first = np.repeat([np.radians(_STEP_DEG), _STEP_M], 3)
 
     def solve(problem: Problem, camera_from_lidar: Float) -> p2o.Solution:
         start = pose = np.asarray(camera_from_lidar, np.float64)
@@ -42,9 +37,9 @@ def build(options: Grid729Options) -> p2o.Solver:
         if refused is not None:
             return refused
         moves, looks = 0, 0
-        for level in range(options.levels):
+        for level in range(_LEVELS):
             steps = NEIGHBOURS * (first * _SHRINK**level)
-            while moves < options.max_moves:
+            while moves < _MAX_MOVES:
                 around = pose_from_chart(pose, steps)
                 costs = np.asarray(problem.cost(around), np.float64)
                 costs = np.where(np.isfinite(costs), costs, np.inf)
@@ -54,7 +49,7 @@ def build(options: Grid729Options) -> p2o.Solver:
                 pose, least, moves = around[best], float(costs[best]), moves + 1
         # A cost in a batch may differ from that of the pose alone by rounding.
         cost = float(problem.cost(pose[None])[0])
-        return ended(start, pose, cost, looks, converged=moves < options.max_moves)
+        return ended(start, pose, cost, looks, converged=moves < _MAX_MOVES)
 
     return solve
 
@@ -62,7 +57,6 @@ def build(options: Grid729Options) -> p2o.Solver:
 METHOD = p2o.Method(
     name="grid729",
     build=build,
-    options=Grid729Options,
     summary="Walk to the best of all 729 neighbours with decreasing steps, on any scalar cost.",
     needs={"objective"},
     cite="Levinson and Thrun, Automatic Online Calibration of Cameras and Lasers, RSS 2013",

@@ -11,12 +11,12 @@ LONGEST_STEP = 100.0
 """Longer steps, in radians or metres, are rejected without evaluation: the system is nearly singular."""
 _FIRST_DAMPING = 1e-4  # damping of the first step, relative to the Hessian's diagonal
 MAX_CONDITION = 1e5  # condition number of the scaled Hessian above which a direction is unobservable
+_MAX_ITERATIONS = 100  # largest number of steps, including rejected ones
 
 
 class LmOptions(p2o.Options):
     """Options of `lm`."""
 
-    max_iterations: int = p2o.field(100, ge=1, help="Largest number of steps, including rejected ones.")
     tolerance: float = p2o.field(1e-10, gt=0, help="Stop if a step is smaller than this in radians and metres.")
 
 
@@ -45,7 +45,7 @@ def minimise(problem: LeastSquares, start: Float, options: LmOptions) -> tuple[F
     cost = float(problem.loss(residuals))
     total = max(float(problem.weight.sum()), np.finfo(float).tiny)
     hessian, gradient = normal_equations(problem, residuals, jacobian)
-    for iteration in range(1, options.max_iterations + 1):
+    for iteration in range(1, _MAX_ITERATIONS + 1):
         diagonal = _scale(hessian)
         try:
             step: Float = np.asarray(-np.linalg.solve(hessian + np.diag(damping * diagonal), gradient))
@@ -76,7 +76,7 @@ def minimise(problem: LeastSquares, start: Float, options: LmOptions) -> tuple[F
         else:
             damping *= growth
             growth *= 2.0
-    return pose, options.max_iterations, p2o.SolverStatus.ITERATIONS_SPENT
+    return pose, _MAX_ITERATIONS, p2o.SolverStatus.ITERATIONS_SPENT
 
 
 def _scale(hessian: Float) -> Float:

@@ -18,6 +18,7 @@ _SHRINK = 0.3  # factor on the size from box to box
 _INERTIA = 0.72  # share of its velocity that a particle keeps
 _ATTRACTION = 1.49  # attraction to the best position of a particle, and to that of all
 _COLLAPSED = 0.01  # stop a swarm at this width, as a share of its box
+_BOXES = 3  # boxes that are searched in sequence, each around the best pose so far
 
 
 class ParticleSwarmOptions(p2o.Options):
@@ -27,9 +28,6 @@ class ParticleSwarmOptions(p2o.Options):
     box_m: float = p2o.field(0.3, gt=0, le=100, help="Search range of each translation around the initial pose.")
     particles: int = p2o.field(100, ge=2, le=100_000, help="Particles of a swarm.")
     iterations: int = p2o.field(60, ge=1, help="Moves of the swarms in all boxes together.")
-    boxes: int = p2o.field(
-        3, ge=1, le=20, help="Boxes that are searched in sequence, each around the best pose so far."
-    )
     seed: int = p2o.field(0, ge=0, help="Random seed.")
 
 
@@ -39,7 +37,7 @@ def build(options: ParticleSwarmOptions) -> p2o.Solver:
     def minimise(cost: ScalarCost) -> p2o.Solution:
         rng = np.random.default_rng(options.seed)
         best, moves = np.zeros(6), 0
-        for number in range(options.boxes):
+        for number in range(_BOXES):
             size = _SHRINK**number
             # The box never leaves the first one, which is from -1 to 1 in every unknown.
             best, _, moved = swarmed(
@@ -49,7 +47,7 @@ def build(options: ParticleSwarmOptions) -> p2o.Solver:
                 rng,
                 first=best,
                 particles=options.particles,
-                moves=options.iterations * (number + 1) // options.boxes - options.iterations * number // options.boxes,
+                moves=options.iterations * (number + 1) // _BOXES - options.iterations * number // _BOXES,
                 inertia=_INERTIA,
                 attraction=_ATTRACTION,
                 narrow=_COLLAPSED * 2 * size,

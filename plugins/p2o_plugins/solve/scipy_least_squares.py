@@ -11,17 +11,11 @@ from p2o.solving import LeastSquares, Problem, checked_solution, linearise, pose
 
 from p2o_plugins.solve.lm import MAX_CONDITION
 
-
-class ScipyOptions(p2o.Options):
-    """Options of `scipy`."""
-
-    max_iterations: int = p2o.field(100, ge=1, help="Largest number of evaluations of the residuals.")
-    tolerance: float = p2o.field(
-        1e-14, gt=1e-15, help="Relative change of cost or unknowns at which to stop (ftol and xtol of SciPy)."
-    )
+_MAX_ITERATIONS = 100  # largest number of evaluations of the residuals
+_TOLERANCE = 1e-14  # relative change of cost or unknowns at which to stop (ftol and xtol of SciPy)
 
 
-def build(options: ScipyOptions) -> p2o.Solver:
+def build(options: p2o.Options) -> p2o.Solver:
     """Return the solver `(LeastSquares, camera_from_lidar (4, 4)) -> Solution`."""
     # Imported here: every run lists this method, few use it.
     from scipy.optimize import least_squares
@@ -47,10 +41,10 @@ def build(options: ScipyOptions) -> p2o.Solver:
                 jacobian,
                 loss=_weighted_huber(pairs),
                 x_scale="jac",
-                ftol=options.tolerance,
-                xtol=options.tolerance,
+                ftol=_TOLERANCE,
+                xtol=_TOLERANCE,
                 gtol=None,
-                max_nfev=options.max_iterations,
+                max_nfev=_MAX_ITERATIONS,
             )
         status = p2o.SolverStatus.CONVERGED if fit.status > 0 else p2o.SolverStatus.ITERATIONS_SPENT
         pose = pose_from_chart(start, fit.x)
@@ -79,7 +73,6 @@ def _weighted_huber(problem: LeastSquares) -> Any:
 METHOD = p2o.Method(
     name="scipy",
     build=build,
-    options=ScipyOptions,
     summary="SciPy's trust-region least squares with the same weighted Huber cost as lm.",
     needs={"residuals"},
     cite="Branch, Coleman and Li, SIAM Journal on Scientific Computing 21, 1999",

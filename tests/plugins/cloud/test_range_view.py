@@ -264,7 +264,6 @@ def test_every_option_changes_the_outcome():
         "min_support": 0.9,
         "min_neighbours": 6,
         "shift_beams": 0.0,
-        "max_points": 100,
         "origin_m": (0.0, 0.0, 0.5),
     }
     assert set(changes) == set(RangeViewOptions.model_fields)

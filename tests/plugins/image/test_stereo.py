@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from p2o import SIDES, Camera, Image, InputError, Side
+from p2o_plugins.image import stereo
 from p2o_plugins.image.disparity import PairView, consistent, fill_with_background, ground
 from p2o_plugins.image.silhouette import Silhouettes, line_lengths, snap, support
 from p2o_plugins.image.stereo import METHOD, StereoOptions, height_m
@@ -134,13 +135,10 @@ def test_no_edge_below_the_smallest_confidence_and_more_edges_at_a_smaller_one(p
     assert len(strict) < len(loose)
 
 
-def test_a_step_smaller_than_asked_for_is_no_edge(pair):
-    assert len(edges_of(pair, min_jump_px=20.0)) == 0
-    assert len(edges_of(pair, min_jump_ratio=0.8)) == 0
-
-
-def test_lines_shorter_than_asked_for_are_dropped(pair):
-    assert len(edges_of(pair, min_line_px=200)) == 0
+@pytest.mark.parametrize(("limit", "value"), [("_MIN_JUMP_PX", 20.0), ("_MIN_JUMP_RATIO", 0.8), ("_MIN_LINE_PX", 200)])
+def test_smaller_steps_and_shorter_lines_give_no_edges(pair, monkeypatch, limit, value):
+    monkeypatch.setattr(stereo, limit, value)
+    assert len(edges_of(pair)) == 0
 
 
 def test_masked_pixels_give_no_edges(pair):

@@ -13,7 +13,11 @@ from p2o_plugins.initialize.edge_density import EdgeDensity
 
 from tests import edge_scene
 
-QUICK = {"scatter": 16384, "kept": 800}
+
+@pytest.fixture(autouse=True)
+def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(far, "_SCATTER", 16384)
+    monkeypatch.setattr(far, "_KEPT", 800)
 
 
 def far_start(seed: int, size: str = "euler camera 20deg 1.5m") -> np.ndarray:
@@ -32,7 +36,7 @@ def off(pose: np.ndarray) -> tuple[float, float]:
 )
 def test_the_best_proposal_is_the_right_basin_from_anywhere_in_the_box(camera: Camera, seed: int) -> None:
     view = edge_scene.view(camera, seed=seed)
-    best = far.Far(far.FarOptions(**QUICK))([view], far_start(seed))[0]
+    best = far.Far(far.FarOptions())([view], far_start(seed))[0]
     deg, metres = off(best)
     assert deg < 1.0
     assert metres < 0.2
@@ -40,22 +44,23 @@ def test_the_best_proposal_is_the_right_basin_from_anywhere_in_the_box(camera: C
 
 def test_a_camera_of_another_size_is_searched_alike() -> None:
     small = Camera.pinhole(350.0, 350.0, 300.0, 90.0, 621, 188)
-    deg, metres = off(far.Far(far.FarOptions(**QUICK))([edge_scene.view(small)], far_start(1))[0])
+    deg, metres = off(far.Far(far.FarOptions())([edge_scene.view(small)], far_start(1))[0])
     assert deg < 1.0
     assert metres < 0.2
 
 
 def test_frames_that_tell_too_little_alone_tell_it_together() -> None:
     views = [edge_scene.view(seed=seed, boxes=4, name=str(seed)) for seed in range(8)]
-    deg, metres = off(far.Far(far.FarOptions(**QUICK))(views, far_start(3))[0])
+    deg, metres = off(far.Far(far.FarOptions())(views, far_start(3))[0])
     assert deg < 1.0
     assert metres < 0.2
 
 
-def test_of_a_large_group_some_frames_are_searched_with() -> None:
+def test_of_a_large_group_some_frames_are_searched_with(monkeypatch: pytest.MonkeyPatch) -> None:
     """A frame that is not used may be wrong: only the second of three is left out here."""
     good, wrong = edge_scene.view(seed=0), edge_scene.view(seed=1, truth=far_start(5))
-    start, options = far_start(0), far.FarOptions(max_frames=2, **QUICK)
+    start, options = far_start(0), far.FarOptions()
+    monkeypatch.setattr(far, "_MAX_FRAMES", 2)
     with_wrong = far.Far(options)([good, wrong, good], start)
     without = far.Far(options)([good, good], start)
     assert all(map(np.array_equal, with_wrong, without))
@@ -64,14 +69,14 @@ def test_of_a_large_group_some_frames_are_searched_with() -> None:
 def test_edges_without_directions_are_found_too() -> None:
     view = edge_scene.view(boxes=60).without_sides()
     start = far_start(2, "euler camera 5deg 0.3m")
-    deg, metres = off(far.Far(far.FarOptions(reach_deg=5.0, reach_m=0.3, **QUICK))([view], start)[0])
+    deg, metres = off(far.Far(far.FarOptions(reach_deg=5.0, reach_m=0.3))([view], start)[0])
     assert deg < 1.0
     assert metres < 0.2
 
 
 def test_proposals_stay_within_reach_of_the_start() -> None:
     start = far_start(0)
-    found = far.Far(far.FarOptions(reach_deg=3.0, reach_m=0.2, **QUICK))([edge_scene.view()], start)
+    found = far.Far(far.FarOptions(reach_deg=3.0, reach_m=0.2))([edge_scene.view()], start)
     moves = far._tangents(np.stack([pose @ se3.inverse(start) for pose in found]))
     assert (np.abs(moves[:, :3]) < np.radians(3.0 * 1.5)).all()
     assert (np.abs(moves[:, 3:]) < 0.2 * 1.5).all()
@@ -79,7 +84,7 @@ def test_proposals_stay_within_reach_of_the_start() -> None:
 
 def test_a_seed_gives_the_same_bytes_and_another_one_other_poses() -> None:
     view, start = edge_scene.view(), far_start(0)
-    once, again, other = (far.Far(far.FarOptions(seed=s, **QUICK))([view], start) for s in (0, 0, 1))
+    once, again, other = (far.Far(far.FarOptions(seed=s))([view], start) for s in (0, 0, 1))
     assert [p.tobytes() for p in once] == [p.tobytes() for p in again]
     assert [p.tobytes() for p in once] != [p.tobytes() for p in other]
 
@@ -93,7 +98,7 @@ def test_without_edges_that_could_meet_the_given_pose_is_proposed(lacks: str) ->
         view = replace(view, cloud=CloudFeatures(CloudEdges.empty()))
     else:
         start = se3.exp(np.array([0, np.pi, 0, 0, 0, 0])) @ start
-    found = far.Far(far.FarOptions(reach_deg=10.0, **QUICK))([view], start)
+    found = far.Far(far.FarOptions(reach_deg=10.0))([view], start)
     assert len(found) == 1
     assert np.array_equal(found[0], start)
 

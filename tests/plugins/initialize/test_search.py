@@ -74,11 +74,10 @@ def test_a_basin_that_only_narrow_truncation_tells_is_among_the_proposals() -> N
 
 def test_proposals_lie_apart_the_best_first_and_the_given_start_last() -> None:
     start = wrong_start(edge_scene.TRUTH, 2.0, 0.1, np.random.default_rng(0))
-    options = search.SearchOptions(proposals=5)
-    *proposals, last = search.build(options)([haunted(0)], start)
+    *proposals, last = search.build(search.SearchOptions())([haunted(0)], start)
     assert last is start
-    assert 1 < len(proposals) <= 5
-    cost = DirectedCost.of([haunted(0)], start, 4.0, max_points=options.max_points)
+    assert 1 < len(proposals) <= 3
+    cost = DirectedCost.of([haunted(0)], start, 4.0, max_points=search.MAX_POINTS)
     values = cost(np.stack(proposals))
     assert (np.diff(values) > -0.05).all()
     for number, pose in enumerate(proposals):

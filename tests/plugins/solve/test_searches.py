@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
 from p2o import Method, SolverStatus, se3
@@ -36,22 +38,24 @@ def test_the_bottom_of_a_quadratic_is_found(method: Method) -> None:
 
 
 def test_grid729_stays_where_no_neighbour_is_better() -> None:
-    solution = grid729.build(grid729.Grid729Options())(bowl(np.eye(6)), TRUTH)
+    solution = grid729.build(grid729.METHOD.options())(bowl(np.eye(6)), TRUTH)
     np.testing.assert_array_equal(solution.camera_from_lidar, TRUTH)
-    assert solution.iterations == grid729.Grid729Options().levels
+    assert solution.iterations == grid729._LEVELS
 
 
-def test_grid729_asks_for_all_neighbours_at_once() -> None:
+def test_grid729_asks_for_all_neighbours_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(grid729, "_LEVELS", 2)
     sizes = []
     problem = Objective(lambda poses: (sizes.append(len(poses)), np.ones(len(poses)))[1])
-    grid729.build(grid729.Grid729Options(levels=2))(problem, TRUTH)
+    grid729.build(grid729.METHOD.options())(problem, TRUTH)
     assert sizes == [1, 729, 729, 1]
 
 
 @every
-def test_searches_end_where_they_are_told_to(method: Method) -> None:
-    limit = {"grid729": "max_moves", "coordinate": "max_sweeps"}[method.name]
-    solution = method.build(method.options(**{limit: 1}))(pairs().as_objective(), NEAR)
+def test_searches_end_at_their_limit(method: Method, monkeypatch: pytest.MonkeyPatch) -> None:
+    limit = {"grid729": "_MAX_MOVES", "coordinate": "_MAX_SWEEPS"}[method.name]
+    monkeypatch.setattr(sys.modules[method.build.__module__], limit, 1)
+    solution = method.build(method.options())(pairs().as_objective(), NEAR)
     assert solution.status is SolverStatus.ITERATIONS_SPENT
 
 

@@ -11,7 +11,6 @@ import numpy as np
 import p2o
 import pytest
 from p2o import se3
-from p2o.calibration.options import PipelineOptions
 from p2o.confidence import audit as audits
 from p2o.confidence.audit import AXES, EdgeStep, Evidence, Rates, audit, edge_step
 from p2o.confidence.explanation import explanations
@@ -51,7 +50,7 @@ def views() -> list[p2o.View]:
 
 
 def checked(views: list[p2o.View], pose: np.ndarray, pipeline: Pipeline) -> Check:
-    return audit(Evidence.of(views, pose, pipeline), pipeline.options, Rates())
+    return audit(Evidence.of(views, pose, pipeline), Rates())
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +60,7 @@ def evidence(views: list[p2o.View], pipeline: Pipeline) -> Callable[[str, float]
 
 
 def test_a_right_extrinsic_holds_on_every_axis(evidence: Callable[[str, float], Evidence], pipeline: Pipeline) -> None:
-    found = audit(evidence("x", 0.0), pipeline.options, Rates())
+    found = audit(evidence("x", 0.0), Rates())
     assert found.holding is CheckStatus.HOLDS
     assert {axis.holding for axis in found.axes} == {CheckStatus.HOLDS}
     assert found.estimate is not None
@@ -72,7 +71,7 @@ def test_a_right_extrinsic_holds_on_every_axis(evidence: Callable[[str, float], 
 def test_an_error_above_the_limit_is_called_off_on_its_axis_by_its_size(
     axis: str, size: float, evidence: Callable[[str, float], Evidence], pipeline: Pipeline
 ) -> None:
-    found = audit(evidence(axis, size), pipeline.options, Rates())
+    found = audit(evidence(axis, size), Rates())
     assert found.holding is CheckStatus.OFF
     assert [each.axis for each in found.axes if each.holding is CheckStatus.OFF] == [axis]
     its = found.axes[NAMES.index(axis)]
@@ -91,7 +90,7 @@ def test_rings_far_apart_show_a_pitch_error_smaller_than_their_distance(
 ) -> None:
     step = edge_step(sparse_views, off("pitch", size), pipeline.matcher, pipeline.options)
     assert isinstance(step, EdgeStep)
-    found = audit(Evidence(("sparse",), off("pitch", size), step), pipeline.options, Rates())
+    found = audit(Evidence(("sparse",), off("pitch", size), step), Rates())
     assert found.holding is word
     assert step.error[1] == pytest.approx(size, abs=0.2)
 
@@ -123,7 +122,7 @@ def test_few_edges_tell_nothing(pipeline: Pipeline) -> None:
 def test_what_is_asked_to_be_noticed_and_cannot_be_is_said(
     evidence: Callable[[str, float], Evidence], pipeline: Pipeline
 ) -> None:
-    found = audit(evidence("x", 0.0), pipeline.options, Rates(notice_deg=0.001, notice_m=0.0001))
+    found = audit(evidence("x", 0.0), Rates(notice_deg=0.001, notice_m=0.0001))
     assert {axis.holding for axis in found.axes} == {CheckStatus.CANNOT_TELL}
     assert found.holding is CheckStatus.CANNOT_TELL
 
@@ -134,7 +133,7 @@ SURE = Agreement(0.5, 0.1, 1000, 100)
 def said(error: np.ndarray, covariance: np.ndarray) -> Check:
     """What is said of a step whose errors have this covariance."""
     step = EdgeStep(np.eye(4), error, covariance, SURE, 100)
-    return audit(Evidence(("frame",), np.eye(4), step), PipelineOptions(), Rates())
+    return audit(Evidence(("frame",), np.eye(4), step), Rates())
 
 
 def test_errors_as_they_are_taken_to_be_spread_raise_no_more_alarms_than_asked() -> None:
@@ -172,7 +171,7 @@ def test_a_pose_that_a_search_finds_counts_only_where_edges_clearly_meet_better_
     far = replace(near, error=np.array([0.0, 0, 3.0, 0, 0, 0]))
     for lead, word in ((audits.TAIL.lead_edges - 1, CheckStatus.HOLDS), (audits.TAIL.lead_edges + 1, CheckStatus.OFF)):
         evidence = Evidence(("frame",), np.eye(4), near, far, lead)
-        assert audit(evidence, PipelineOptions(), Rates()).holding is word
+        assert audit(evidence, Rates()).holding is word
 
 
 LONG_LENS = p2o.Camera.pinhole(2000.0, 2000.0, 960.0, 540.0, 1920, 1080)

@@ -9,6 +9,7 @@ import p2o
 import pytest
 from p2o import Result, Status, se3
 from p2o.calibration.options import PipelineOptions
+from p2o.confidence import verdict
 from p2o.confidence.assessment import witnessed
 from p2o.solving import Accuracy, Agreement, Doubt, Pipeline, Reason, Trust, Verdict
 
@@ -103,9 +104,10 @@ def test_a_pose_at_which_edges_meet_is_doubtful_where_they_would_meet_better_bes
     [reason] = witnessed(beside, views, OPTIONS).verdict.reasons
     assert reason.doubt is Doubt.LITTLE_AGREEMENT
     assert "background left" in reason.text or "background right" in reason.text
-    all_sides = OPTIONS.model_copy(update={"min_side_odds": 0.0})
-    assert witnessed(beside, views, all_sides).verdict.trusted
-    found = witnessed(beside, views, all_sides, pipeline).verdict
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(verdict, "_MIN_SIDE_ODDS", 0.0)
+        assert witnessed(beside, views, OPTIONS).verdict.trusted
+        found = witnessed(beside, views, OPTIONS, pipeline).verdict
     assert (found.trust, [reason.doubt for reason in found.reasons]) == (Trust.DOUBTFUL, [Doubt.LED_AWAY])
     assert "is off by about" in found.why
     for deg in (0.0, 0.15):

@@ -354,3 +354,10 @@ def test_a_pickled_camera_does_not_import_pycolmap() -> None:
     loaded = pickle.loads(data)  # noqa: S301
     assert loaded == camera
     np.testing.assert_allclose(loaded.rays(loaded.project(points)), rays)
+
+
+def test_the_extent_is_that_of_the_corners_up_to_60_degrees() -> None:
+    low, high = Camera.pinhole(100.0, 100.0, 49.5, 29.5, 100, 60).extent()
+    np.testing.assert_allclose([low, high], [[-0.495, -0.295], [0.495, 0.295]])
+    low, high = Camera.pinhole(10.0, 10.0, 49.5, 29.5, 100, 60).extent()
+    np.testing.assert_allclose([low, high], [[-1.7, -1.7], [1.7, 1.7]])

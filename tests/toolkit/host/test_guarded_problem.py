@@ -195,7 +195,7 @@ def test_weights_frames_and_widths_are_checked_when_the_problem_is_posed(change:
     [
         (lambda pose: 1 / 0, "raised ZeroDivisionError while computing its covariance"),
         (lambda pose: np.eye(5), r"covariance returned shape \(5, 5\)"),
-        (lambda pose: np.full((6, 6), np.nan), "covariance returned shape"),
+        (lambda pose: np.full((6, 6), np.nan), "covariance returned NaN or infinity"),
     ],
 )
 def test_the_covariance_of_an_objective_is_checked(covariance: Callable[[Any], Any], message: str) -> None:
@@ -365,7 +365,6 @@ def test_a_frame_that_fails_in_a_problem_or_judge_ends_alone(in_judge: bool, mon
         solver="nelder-mead",
         init="given",
         witness="none",
-        options={"solver": {"max_evaluations": 200}},
         start=stage.camera_from_lidar() @ p2o.se3.exp(np.full(6, 0.01)),
     )
     statuses = [row.result.status for row in run.rows]

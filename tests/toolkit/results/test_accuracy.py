@@ -173,10 +173,10 @@ def test_both_parts_have_to_be_reached() -> None:
 def test_a_rival_that_fits_as_well_is_how_far_off_the_worst_may_be() -> None:
     told = likely_accuracy(spread(covariance()), TRUTH, met(0.25))
     near, far = Rival(0.2, "edges", 0.6, 0.01), Rival(0.2, "edges", 9.0, 3.0)
-    assert or_rival(told, None, 1.5) == told
-    assert or_rival(told, replace(far, lead=2.0), 1.5) == told
-    assert or_rival(told, replace(far, unit="cost"), 1.5) == told
-    worst = or_rival(told, far, 1.5)
+    assert or_rival(told, None) == told
+    assert or_rival(told, replace(far, lead=2.0)) == told
+    assert or_rival(told, replace(far, unit="cost")) == told
+    worst = or_rival(told, far)
     assert (worst.rotation_deg_95, worst.translation_m_95) == (9.0, 3.0)
     assert (worst.rotation_deg, worst.translation_m) == (told.rotation_deg, told.translation_m)
-    assert or_rival(told, near, 1.5).translation_m_95 == told.translation_m_95
+    assert or_rival(told, near).translation_m_95 == told.translation_m_95

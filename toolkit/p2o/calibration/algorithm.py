@@ -13,7 +13,7 @@ from p2o.calibration.interval_search import most_likely_pose
 from p2o.calibration.judge import is_sparse, judge_of
 from p2o.calibration.nuisance import Nuisance, NuisanceEstimate, estimate_nuisances, known_twists, motion_prior
 from p2o.calibration.options import PipelineOptions
-from p2o.calibration.rounds import End, Rounds
+from p2o.calibration.rounds import REACH_AFTER_SEARCH_PX, End, Rounds
 from p2o.calibration.search_box import SearchBox
 from p2o.features.view import View
 from p2o.geometry import se3
@@ -127,7 +127,7 @@ class Algorithm:
         judge = self.judge(views.corrected, start, proposals)
 
         ends = [
-            rounds(views.corrected, start, pose, judge, reach_px=options.reach_after_search_px, found_by="initialize")
+            rounds(views.corrected, start, pose, judge, reach_px=REACH_AFTER_SEARCH_PX, found_by="initialize")
             for pose in proposals
             if not np.allclose(pose, start, atol=1e-12)
         ] or [rounds(views.corrected, start, start, judge, reach_px=options.reach_px)]

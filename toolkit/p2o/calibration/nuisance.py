@@ -12,7 +12,7 @@ from p2o.arrays import Float, Int
 from p2o.calibration.adjustment import Adjustment, MotionFit, TimeFit, fit_with_nuisances
 from p2o.calibration.intrinsics import IntrinsicsEstimate, estimate_intrinsics
 from p2o.calibration.options import PipelineOptions
-from p2o.calibration.rounds import End, Rounds
+from p2o.calibration.rounds import REACH_AFTER_SEARCH_PX, End, Rounds
 from p2o.features.view import View
 from p2o.geometry.camera import Camera
 from p2o.geometry.motion import EgoMotion, MotionPrior, pose_at
@@ -233,8 +233,8 @@ def _cameras_corrected(
     nuisance = replace(nuisance, errors={fit.camera: fit.error for fit in estimate.fits})
     views = nuisance.views(raw)
     corrected = judge.on(views)
-    pose, reach_px = estimate.camera_from_lidar, rounds.options.reach_after_search_px
-    end = rounds(views, start, pose, corrected, reach_px=reach_px, found_by="adjust")
+    pose = estimate.camera_from_lidar
+    end = rounds(views, start, pose, corrected, reach_px=REACH_AFTER_SEARCH_PX, found_by="adjust")
     if not (end.solved and enough_pairs(end.problem)) or not corrected.costs([end.pose]) < judge.costs([best.pose]):
         return None
     return replace(end, rounds=best.rounds + end.rounds), corrected, nuisance

@@ -16,7 +16,6 @@ class PipelineOptions(Options):
 
     rounds: int = option(10, ge=1, le=100, help="Largest number of match-and-solve rounds (paper: n_opt = 10).")
     reach_px: float = option(50.0, gt=1, le=500, help="First cutting distance d_c from the given start (paper: 50).")
-    reach_after_search_px: float = option(12.0, gt=1, le=500, help="First cutting distance after an initializer.")
     shrink: float = option(0.7, gt=0.1, lt=1, help="Factor on the cutting distance from round to round.")
     min_reach_px: float = option(5.0, gt=0.5, le=100, help="Smallest cutting distance.")
     min_matches: int = option(30, ge=6, help="Fewer point-to-line pairs end a calibration as too-few-matches.")
@@ -28,23 +27,8 @@ class PipelineOptions(Options):
         help="Rings at least this far apart, in degrees: edges are intervals between two beams, and the pose of the "
         "highest interval likelihood is searched for; 0: for every sweep, 90: never.",
     )
-    min_odds_ratio: float = option(
-        2.0, ge=0, help="Mark a result as doubtful if the odds ratio of the edge agreement is below this value."
-    )
-    min_side_odds: float = option(
-        1.8, ge=0, help="Mark a result as doubtful if the odds ratio of the edges of one direction is below this value."
-    )
-    min_strength: float = option(
-        11.0,
-        ge=0,
-        help="Mark a result as doubtful if the strength of the agreement is below this value: the logarithm of the "
-        "odds ratio times the root of the number of independent cells where edges agree.",
-    )
     most_deg: float = option(0.8, gt=0, help="A larger 95 % rotation bound, in degrees, marks a result as doubtful.")
     most_m: float = option(0.3, gt=0, help="A larger 95 % translation bound, in metres, marks a result as doubtful.")
-    min_lead_edges: float = option(
-        1.5, ge=0, help="Mark a result as ambiguous if another pose loses fewer matched edges than this against it."
-    )
     start_sigma: tuple[PositiveFloat, PositiveFloat] | None = option(
         None,
         help="Standard deviation of the initial guess per axis, deg and m: then a prior of the result. null: unknown.",

@@ -41,6 +41,10 @@ class End:
         return self.status.solved
 
 
+REACH_AFTER_SEARCH_PX = 12.0
+"""First cutting distance from a pose that an initializer proposes."""
+
+
 @dataclass(frozen=True)
 class Rounds:
     """Match-and-solve rounds with a matcher and a solver."""

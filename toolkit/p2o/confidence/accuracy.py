@@ -15,6 +15,8 @@ from p2o.problems.point_to_line import PointToLine
 from p2o.results.evidence import Accuracy, Agreement, Rival
 
 _MIN_DEPTH_M = 0.1
+MIN_LEAD_EDGES = 1.5
+"""Another pose that loses fewer matched edges than this fits as well as the best one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,9 +268,14 @@ def plus_known(likely: Float, known: Float, camera_from_lidar: Float, model: Err
     return np.asarray(likely + by_update @ known @ by_update.T / np.outer(bounds, bounds))
 
 
-def or_rival(accuracy: Accuracy, rival: Rival | None, min_lead_edges: float) -> Accuracy:
+def fits_as_well(rival: Rival) -> bool:
+    """Return whether another pose has about the same cost as the best one; only leads in edges have a bound."""
+    return rival.unit == "edges" and rival.lead < MIN_LEAD_EDGES
+
+
+def or_rival(accuracy: Accuracy, rival: Rival | None) -> Accuracy:
     """Return the accuracy with 95 % bounds that include a rival pose of about the same cost."""
-    if rival is None or rival.unit != "edges" or rival.lead >= min_lead_edges:
+    if rival is None or not fits_as_well(rival):
         return accuracy
     rotation_deg = max(accuracy.rotation_deg_95, rival.rotation_deg)
     return replace(

@@ -12,6 +12,7 @@ from p2o.calibration.algorithm import Algorithm, Estimate, Refined
 from p2o.calibration.options import PipelineOptions
 from p2o.calibration.rounds import counts, mean_residuals_px
 from p2o.confidence.accuracy import (
+    MIN_LEAD_EDGES,
     ErrorBudget,
     ErrorModel,
     accuracy_of,
@@ -81,7 +82,7 @@ def assess(
             accuracy = accuracy_of(likely, budget.model)
         doubted = accuracy
         if not final.cameras_corrected:
-            rivals = _rival_covariance(estimate.refined, options.min_lead_edges)
+            rivals = _rival_covariance(estimate.refined)
             if weight is not None:
                 by_edges = plus_known(by_edges, rivals, weight.camera_from_lidar, budget.model)
                 weight = replace(weight, accuracy=accuracy_of(by_edges, budget.model))
@@ -99,7 +100,7 @@ def assess(
         reason=end.reason,
         rounds=end.rounds,
         covariance=covariance,
-        accuracy=None if accuracy is None else or_rival(accuracy, rival, options.min_lead_edges),
+        accuracy=None if accuracy is None else or_rival(accuracy, rival),
         matches={} if end.pairs is None else counts(end.pairs),
         residual_px={} if end.pairs is None else mean_residuals_px(end.pairs, pose),
         judged=judged,
@@ -154,18 +155,18 @@ class _Scatter:
         return cls(budget, cells, min_cells)
 
 
-def _rival_covariance(refined: Refined, min_lead_edges: float) -> Float:
+def _rival_covariance(refined: Refined) -> Float:
     """Return the covariance (6, 6) of a left update by poses of about the same cost as the best one.
 
     Which of them has the lowest cost depends on the noise of the edges, and on the seed of the search. A pose that
-    loses L edges has the probability exp(-L) of the best one; poses that lose `min_lead_edges` or more are left out.
+    loses L edges has the probability exp(-L) of the best one; poses that lose `MIN_LEAD_EDGES` or more are left out.
     """
     ends = [end for end in (*refined.solved, *refined.rivals) if end.solved and end is not refined.best]
     cost_of_best, *costs = refined.judge.costs([refined.best.pose, *(end.pose for end in ends)])
     total, probability = np.zeros((6, 6)), 1.0
     for end, cost in zip(ends, costs, strict=True):
         lead, unit = refined.judge.lead(cost_of_best, cost)
-        if unit == "edges" and lead < min_lead_edges:
+        if unit == "edges" and lead < MIN_LEAD_EDGES:
             step = se3.log(end.pose @ se3.inverse(refined.best.pose))
             share = float(np.exp(-max(lead, 0.0)))
             total, probability = total + share * np.outer(step, step), probability + share
@@ -253,7 +254,7 @@ def witnessed(
     reasons = tuple(reason for reason in result.verdict.reasons if reason.doubt not in replaced)
     known = {reason.doubt for reason in reasons}
     own = [reason for reason in accuracy_doubts(result.accuracy, options) if reason.doubt not in known]
-    verdict = Verdict((*reasons, *agreement_doubts(agreement, options), *own))
+    verdict = Verdict((*reasons, *agreement_doubts(agreement), *own))
     if verdict.trusted and algorithm is not None:
         verdict = Verdict((*verdict.reasons, *_position_doubts(result, views, algorithm)))
     return replace(result, agreement=agreement, verdict=verdict)
@@ -261,7 +262,7 @@ def witnessed(
 
 def _position_doubts(result: Result, views: Sequence[View], algorithm: Algorithm) -> list[Reason]:
     """Return a reason for doubt where edges ask for a large and significant correction of the pose."""
-    check = audit(Evidence.of(views, result.camera_from_lidar, algorithm), algorithm.options, Rates())
+    check = audit(Evidence.of(views, result.camera_from_lidar, algorithm), Rates())
     if check.holding is not CheckStatus.OFF or check.estimate is None:
         return []
     step = pose_error(result.camera_from_lidar, check.estimate)

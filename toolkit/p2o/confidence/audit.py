@@ -14,6 +14,7 @@ from p2o.calibration.interval_search import most_likely_pose
 from p2o.calibration.judge import IntervalJudge, is_sparse
 from p2o.calibration.nuisance import Nuisance, enough_pairs, motion_prior
 from p2o.calibration.options import PipelineOptions
+from p2o.calibration.rounds import REACH_AFTER_SEARCH_PX
 from p2o.confidence.accuracy import (
     DEFAULT_ERROR_MODEL,
     Z_67,
@@ -23,7 +24,7 @@ from p2o.confidence.accuracy import (
 )
 from p2o.confidence.explanation import Explanation, explanations, single_axis_pose
 from p2o.confidence.fusion import OWN_SHARE
-from p2o.confidence.verdict import little_agreement
+from p2o.confidence.verdict import MIN_ODDS_RATIO, MIN_STRENGTH, little_agreement
 from p2o.features.view import View
 from p2o.geometry import se3
 from p2o.geometry.pose_error import is_distinct, pose_error
@@ -274,7 +275,7 @@ class Evidence:
         return self.far is not None and self.lead_edges >= TAIL.lead_edges
 
 
-def audit(evidence: Evidence, options: PipelineOptions, rates: Rates) -> Check:
+def audit(evidence: Evidence, rates: Rates) -> Check:
     """Decide by the edge evidence whether a given pose is correct."""
     step = evidence.far if evidence.led_away and evidence.far is not None else evidence.near
     undecided = Check(
@@ -291,8 +292,8 @@ def audit(evidence: Evidence, options: PipelineOptions, rates: Rates) -> Check:
     if isinstance(step, str):
         return undecided
     met = step.agreement
-    if met.odds_ratio < options.min_odds_ratio or met.strength < options.min_strength:
-        text = little_agreement(met, options)
+    if met.odds_ratio < MIN_ODDS_RATIO or met.strength < MIN_STRENGTH:
+        text = little_agreement(met)
         return replace(undecided, reason=f"{text}; take more frames", agreement=met)
     return _decided(undecided, evidence.led_away, step, rates)
 
@@ -375,7 +376,7 @@ def _near(views: Sequence[View], given: Float, algorithm: Algorithm) -> EdgeStep
     begin = single_axis_pose(algorithm.visible(_some(views), given).corrected, given) if algorithm.directed else given
     if begin is given:
         return edge_step(views, given, matcher, options)
-    return edge_step(views, given, matcher, options, around=begin, reach_px=options.reach_after_search_px)
+    return edge_step(views, given, matcher, options, around=begin, reach_px=REACH_AFTER_SEARCH_PX)
 
 
 def _some(views: Sequence[View]) -> list[View]:
@@ -395,7 +396,7 @@ def _searched(
         return None, 0.0
     options, judge = algorithm.options, algorithm.judge(raw, given, proposed)
     best = proposed[int(np.argmin(judge.costs(proposed)))]
-    step = edge_step(views, given, algorithm.matcher, options, around=best, reach_px=options.reach_after_search_px)
+    step = edge_step(views, given, algorithm.matcher, options, around=best, reach_px=REACH_AFTER_SEARCH_PX)
     if isinstance(step, str) or not all(is_distinct(inverse @ step.pose) for inverse in from_known):
         return None, 0.0
     *costs, cost = judge.costs([*known, step.pose])

@@ -12,6 +12,7 @@ from p2o.calibration.nuisance import NuisanceEstimate
 from p2o.calibration.options import PipelineOptions
 from p2o.calibration.rounds import End
 from p2o.calibration.search_box import SearchBox
+from p2o.confidence.accuracy import fits_as_well
 from p2o.features.view import View
 from p2o.geometry import se3
 from p2o.geometry.camera import Camera
@@ -22,6 +23,10 @@ from p2o.results.evidence import Accuracy, Agreement, Rival
 from p2o.results.result import CameraCheck
 from p2o.results.verdict import Doubt, Reason, Verdict
 
+MIN_ODDS_RATIO, MIN_STRENGTH = 2.0, 11.0
+"""Least agreement of the edges of a correct pose, as odds ratio and as evidence (`p2o.results.evidence.Agreement`)."""
+_MIN_SIDE_ODDS = 1.8
+"""Least odds ratio of the edges of each direction."""
 MIN_PLACES = 12
 """Fewest independent cells of pairs, twice the number of unknowns. With fewer, errors of several degrees occurred at
 odds ratios above 20, and the scatter of pairs did not reveal them.
@@ -57,7 +62,7 @@ def verdict_of(
     `min_places` independent image cells (`places`, None where unknown). `box` is that of the search if the pose is
     outside it.
     """
-    reasons = [*_rival_doubts(rival, options.min_lead_edges), *agreement_doubts(agreed, options)]
+    reasons = [*_rival_doubts(rival), *agreement_doubts(agreed)]
     reasons += accuracy_doubts(accuracy, options)
     if places is not None and places < min_places:
         text = (
@@ -70,9 +75,9 @@ def verdict_of(
     return Verdict((*reasons, *filter(None, map(camera_doubt, cameras))))
 
 
-def _rival_doubts(rival: Rival | None, min_lead_edges: float) -> list[Reason]:
-    """Return a reason for doubt where another pose fits as well; only leads in edges have a bound."""
-    if rival is None or rival.unit != "edges" or rival.lead >= min_lead_edges:
+def _rival_doubts(rival: Rival | None) -> list[Reason]:
+    """Return a reason for doubt where another pose fits as well."""
+    if rival is None or not fits_as_well(rival):
         return []
     fewer = f"{rival.lead:.1f}"
     edges = "no fewer edges" if float(fewer) <= 0 else f"only {fewer} fewer edges"
@@ -80,24 +85,24 @@ def _rival_doubts(rival: Rival | None, min_lead_edges: float) -> list[Reason]:
     return [Reason(Doubt.RIVAL_POSE, f"another pose at a distance of {distance} matches {edges}")]
 
 
-def agreement_doubts(agreed: Agreement | None, options: PipelineOptions) -> list[Reason]:
+def agreement_doubts(agreed: Agreement | None) -> list[Reason]:
     """Return a reason for doubt where edges agree little more than under random alignment, or there are none."""
     if agreed is None:
         text = "no independent check of this pose was possible, because there are no edges of both sensors"
         return [Reason(Doubt.NOT_CHECKED, text)]
-    if agreed.odds_ratio >= options.min_odds_ratio and agreed.strength >= options.min_strength:
-        return _direction_doubts(agreed, options)
-    return [Reason(Doubt.LITTLE_AGREEMENT, little_agreement(agreed, options))]
+    if agreed.odds_ratio >= MIN_ODDS_RATIO and agreed.strength >= MIN_STRENGTH:
+        return _direction_doubts(agreed)
+    return [Reason(Doubt.LITTLE_AGREEMENT, little_agreement(agreed))]
 
 
-def little_agreement(agreed: Agreement, options: PipelineOptions) -> str:
+def little_agreement(agreed: Agreement) -> str:
     """Return the sentence about edges that agree little more often than under random alignment, or in few cells."""
     if not agreed.points:
         return "no LiDAR edge is inside the image at this pose"
     return (
         f"edges of image and LiDAR agree little more often than under random alignment: odds ratio "
         f"{agreed.odds_ratio:.1f} and evidence {agreed.strength:.1f} in {agreed.places} independent cells, where a "
-        f"correct pose has at least {options.min_odds_ratio:g} and {options.min_strength:g}"
+        f"correct pose has at least {MIN_ODDS_RATIO:g} and {MIN_STRENGTH:g}"
     )
 
 
@@ -113,15 +118,15 @@ def accuracy_doubts(accuracy: Accuracy | None, options: PipelineOptions) -> list
 _SIDE_WORDS = {"L": "left", "R": "right", "U": "above", "B": "below"}
 
 
-def _direction_doubts(agreed: Agreement, options: PipelineOptions) -> list[Reason]:
+def _direction_doubts(agreed: Agreement) -> list[Reason]:
     """Return a reason for doubt where the edges of one direction agree little more than under random alignment."""
-    if agreed.least_odds is None or agreed.least_odds >= options.min_side_odds:
+    if agreed.least_odds is None or agreed.least_odds >= _MIN_SIDE_ODDS:
         return []
     side = _SIDE_WORDS[agreed.least_side]
     text = (
         f"LiDAR edges with the background {side}, unlike those of other directions, agree with image edges little more "
         f"often than under random alignment: odds ratio {agreed.least_odds:.1f}, where a correct pose has at least "
-        f"{options.min_side_odds:g}"
+        f"{_MIN_SIDE_ODDS:g}"
     )
     return [Reason(Doubt.LITTLE_AGREEMENT, text)]
 

@@ -27,6 +27,8 @@ _MAX_SIDE_PX, _MAX_PIXELS = 30_000, 200_000_000
 """Maximum image size: larger values in files would exhaust memory."""
 _MIN_FOCAL_PX, _MAX_PARAMETER = 0.01, 1e7
 """Limits of parameters: projections overflow beyond them."""
+_WIDEST_TAN = 1.7
+"""Tangent of the largest angle from the optical axis that an image plane without distortion shows: 60 degrees."""
 _OFF_CENTRE, _SAME_SCALE = 0.2, 0.1
 """Principal points of resized images: least offset from the centre, largest difference of x and y, in image sizes."""
 
@@ -279,6 +281,14 @@ class Camera:
             rays[~is_inverse] = np.nan
         rays /= np.sqrt(np.einsum("...i,...i->...", rays, rays))[..., None]
         return rays
+
+    def extent(self) -> tuple[Float, Float] | None:
+        """Return the lowest and highest x / z and y / z (2,) of the image, up to 60 degrees off axis; None without."""
+        u, v = np.linspace(0, self.width - 1, 25), np.linspace(0, self.height - 1, 25)
+        rays = self.rays(np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
+        plane = rays[:, :2] / rays[:, 2:]
+        plane = plane[np.isfinite(plane).all(axis=1)].clip(-_WIDEST_TAN, _WIDEST_TAN)
+        return (plane.min(axis=0), plane.max(axis=0)) if len(plane) else None
 
 
 def centre_remark(camera: Camera) -> tuple[str, ...]:

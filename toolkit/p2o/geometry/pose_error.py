@@ -45,18 +45,6 @@ def pose_error(estimate: Float, truth: Float) -> PoseError:
     return PoseError(se3.angle_deg(relative), se3.distance_m(relative), per_axis)
 
 
-def pose_errors(estimates: Float, truths: Float) -> tuple[Float, Float]:
-    """Return rotation (N,) in degrees and translation (N,) in metres of `pose_error`, for poses (N, 4, 4) at once.
-
-    Both are NaN where a pose is NaN.
-    """
-    relative = se3.inverse(truths) @ estimates
-    r = relative[:, :3, :3]
-    sines = np.sqrt((r[:, 2, 1] - r[:, 1, 2]) ** 2 + (r[:, 0, 2] - r[:, 2, 0]) ** 2 + (r[:, 1, 0] - r[:, 0, 1]) ** 2)
-    angles = np.degrees(np.arctan2(sines, np.trace(r, axis1=1, axis2=2) - 1))
-    return angles, np.linalg.norm(relative[:, :3, 3], axis=1)
-
-
 def summarise(errors: Sequence[PoseError], good_deg: float = 0.3, good_m: float = 0.10) -> dict[str, float | int]:
     """Return means, medians and mean absolute per-axis errors, and the number within `good_deg` and `good_m`."""
     if not errors:

@@ -76,10 +76,7 @@ def _checked_function(offer: Offer, name: str, function: Callable[[Float], Any])
                 return None
             values = np.asarray(returned, dtype=np.float64)
         shape = {"cost": (len(poses),), "gradient": (6,), "covariance": (6, 6)}[name]
-        if values.shape != shape or (np.isnan(values) if name == "cost" else ~np.isfinite(values)).any():
-            rest = {"cost": " without NaN", "gradient": ", finite", "covariance": ", finite, or None"}[name]
-            raise fault(offer, f"{name} returned shape {values.shape}", f"{shape}{rest}")
-        return values
+        return _require(offer, name, values, shape, finite=name != "cost")
 
     return checked
 
@@ -92,8 +89,7 @@ class _GuardedLeastSquares(LeastSquares):
     def residuals(self, camera_from_lidar: Float) -> Float:
         with watch(self._offer, "computing residuals"):
             residuals = _floats(super().residuals(camera_from_lidar))
-        _require_shape(self._offer, "residuals", residuals, (*np.shape(camera_from_lidar)[:-2], len(self)))
-        return residuals
+        return _require_shape(self._offer, "residuals", residuals, (*np.shape(camera_from_lidar)[:-2], len(self)))
 
     def residuals_with_jacobian(self, camera_from_lidar: Float) -> tuple[Float, Float]:
         with watch(self._offer, "computing residuals and derivatives"):
@@ -108,21 +104,17 @@ class _GuardedLeastSquares(LeastSquares):
     def cost(self, poses: Float) -> Float:
         with watch(self._offer, "computing its cost"):
             costs = _floats(super().cost(poses))
-        _require_shape(self._offer, "cost", costs, (len(poses),))
-        _require_numbers(self._offer, "cost", costs)
-        return costs
+        return _require(self._offer, "cost", costs, (len(poses),))
 
     def loss(self, residuals: Float) -> Float:
         with watch(self._offer, "computing its loss"):
             loss = _floats(super().loss(residuals))
-        _require_numbers(self._offer, "loss", loss)
-        return loss
+        return _require(self._offer, "loss", loss, loss.shape)
 
     def robust_weight(self, residuals: Float) -> Float:
         with watch(self._offer, "computing robust weights"):
             weight = _floats(super().robust_weight(residuals))
-        _require_shape(self._offer, "robust weights", weight, (len(self),))
-        return weight
+        return _require_shape(self._offer, "robust weights", weight, (len(self),))
 
     def depth_m(self, camera_from_lidar: Float) -> float:
         with watch(self._offer, "computing the mean depth"):
@@ -183,9 +175,7 @@ class GuardedJudge(JudgeBase):
         """Return the cost of each pose (4, 4), lower is better; infinite costs are allowed, NaN is not."""
         with watch(self.offer, "judging poses"):
             costs = np.asarray(self.judge.costs(poses), dtype=np.float64)
-        _require_shape(self.offer, "costs of the judge", costs, (len(poses),))
-        _require_numbers(self.offer, "costs of the judge", costs)
-        return costs.tolist()  # type: ignore[no-any-return]
+        return _require(self.offer, "costs of the judge", costs, (len(poses),)).tolist()  # type: ignore[no-any-return]
 
     def lead(self, best: float, other: float, /) -> tuple[float, str]:
         """Return the difference of two costs in a unit that a user understands, and the unit."""
@@ -217,9 +207,7 @@ class GuardedJudge(JudgeBase):
             covariance = self._capable.covariance(pose)
         if covariance is None:
             return None
-        _require_shape(self.offer, "covariance of the judge", np.asarray(covariance), (6, 6))
-        _require_numbers(self.offer, "covariance of the judge", np.asarray(covariance))
-        return np.asarray(covariance, np.float64)
+        return _require(self.offer, "covariance of the judge", np.asarray(covariance, np.float64), (6, 6))
 
     def maximised(self, pose: Float, /) -> Float:
         """Return the pose (4, 4) of the lowest cost near a pose."""
@@ -244,14 +232,20 @@ def _floats(values: Any) -> Float:
     return array if array.dtype.kind == "f" else array.astype(np.float64)
 
 
-def _require_shape(offer: Offer, what: str, values: Float, shape: tuple[int, ...]) -> None:
+def _require_shape(offer: Offer, what: str, values: Float, shape: tuple[int, ...]) -> Float:
     if values.shape != shape:
         raise fault(offer, f"{what} returned shape {values.shape}", str(shape))
+    return values
 
 
-def _require_numbers(offer: Offer, what: str, values: Float) -> None:
-    if np.isnan(values).any():
-        raise fault(offer, f"{what} returned NaN", "numbers")
+def _require(offer: Offer, what: str, values: Float, shape: tuple[int, ...], *, finite: bool = False) -> Float:
+    """Return values of this shape; raises PluginError for others, and for NaN or, with `finite`, infinities in them."""
+    _require_shape(offer, what, values, shape)
+    if np.isnan(values).any() or (finite and np.isinf(values).any()):
+        raise fault(
+            offer, f"{what} returned NaN{' or infinity' if finite else ''}", "finite numbers" if finite else "numbers"
+        )
+    return values
 
 
 def build(offer: Offer, options: Options) -> Any:
@@ -412,10 +406,7 @@ def _solver(offer: Offer, stage: Callable[..., Any]) -> Any:
         if np.isnan(solution.cost):
             raise fault(offer, "cost is NaN", "a number")
         if solution.covariance is not None:
-            if np.shape(solution.covariance) != (6, 6):
-                raise fault(offer, f"covariance has shape {np.shape(solution.covariance)}", "(6, 6)")
-            if not np.isfinite(solution.covariance).all():
-                raise fault(offer, "covariance holds NaN or infinity", "finite numbers")
+            _require(offer, "covariance", np.asarray(solution.covariance), (6, 6), finite=True)
         return replace(solution, camera_from_lidar=_pose(offer, solution.camera_from_lidar))
 
     return solve

@@ -74,7 +74,7 @@ def check(
         read.append(frame)
     one_camera(read)
     given = _Given.of(extrinsic, read, opened.plan.registry)
-    outcome = audit(Evidence.of(views, given.camera_from_lidar, opened.pipeline), opened.pipeline.options, rates)
+    outcome = audit(Evidence.of(views, given.camera_from_lidar, opened.pipeline), rates)
     given.refuse_inverse(outcome.holding)
     return replace(outcome, warnings=(*given.warnings, *outcome.warnings), **opened.stamp)
 

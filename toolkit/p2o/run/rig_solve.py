@@ -18,7 +18,7 @@ from p2o.calibration.judge import SIGMA_PX, is_sparse, judge_of
 from p2o.calibration.nuisance import NuisanceEstimate, enough_pairs
 from p2o.calibration.options import PipelineOptions
 from p2o.calibration.rig_judge import RigJudge, most_likely_near
-from p2o.calibration.rounds import End, Rounds
+from p2o.calibration.rounds import REACH_AFTER_SEARCH_PX, End, Rounds
 from p2o.confidence.assessment import assess
 from p2o.confidence.fusion import WIDER, Fusion, Opinion, compared, contradictions, rig_result
 from p2o.confidence.verdict import rival_of, verdict_of
@@ -200,10 +200,10 @@ class _Solved:
             parts = [(place, its) for place, its in problems if isinstance(its, LeastSquares) and len(its)]
             return RigResiduals(tuple(parts))
 
-        rounds, reach_px = Rounds(match, pipeline.solver, pipeline.options), pipeline.options.reach_after_search_px
+        rounds = Rounds(match, pipeline.solver, pipeline.options)
         ends = []
         for pose in poses:
-            end = rounds((), start, pose, judge, reach_px=reach_px, found_by="initialize")
+            end = rounds((), start, pose, judge, reach_px=REACH_AFTER_SEARCH_PX, found_by="initialize")
             if end.solved:
                 ends.append(end)
         if not ends:
