@@ -126,7 +126,8 @@ class DatasetTable(_Table):
     """A dataset: `data` is DATASET:PATH as in `p2o run`, or DATASET: with the path from --data or --root.
 
     `path` is the path relative to the folder of --root. `split` names the lists of frames in a file of splits, for
-    `--frames @FILE`. An `optional` dataset is left out if its path is not given.
+    `--frames @FILE`. An `optional` dataset is left out if its path is not given. `development` states that choices of
+    p2o were made on its frames, which tables say.
     """
 
     name: Slug
@@ -135,6 +136,7 @@ class DatasetTable(_Table):
     path: str = ""
     split: tuple[str, ...] = ()
     optional: bool = False
+    development: bool = False
     options: dict[str, Any] = Field(default_factory=dict)
 
     @property

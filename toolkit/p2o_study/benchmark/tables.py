@@ -109,19 +109,28 @@ class SuiteTables:
             if word not in known:
                 raise UnknownNameError(kind, word, sorted(known), where=self.suite.file)
 
+    @property
+    def _development(self) -> set[str]:
+        return {table.name for table in self.suite.dataset if table.development}
+
+    def _shown(self, key: Key) -> str:
+        return f"{key.dataset} †" if key.dataset in self._development else key.dataset
+
     def _table(self, caption: str, keys: Sequence[Key], choice: Choice) -> str:
         """Return the table of some rows with its caption."""
         wanted = set(keys)
         lines = {key: row for key, row in self.lines.items() if key in wanted}
         drawn = {protocol for row in lines.values() for protocol in row.protocols} - {GIVEN}
         start = f", initial error {next(iter(drawn))}" if len(drawn) == 1 else ""
-        text = [f"**{md_text(caption or 'all rows')}{md_text(start)}**", ""]
         several = len({key.dataset for key in lines}) > 1
+        marked = self._development & {key.dataset for key in lines}
+        mark = "" if not marked else ", † development frames" if several else ", development frames"
+        text = [f"**{md_text(caption or 'all rows')}{md_text(start)}{mark}**", ""]
         if lines:
             left_out = {"within", "worse", "ambiguous", "doubtful", *(_BRIEF if choice.columns == "brief" else ())}
             figures = figures_of(lines.values(), left_out | ({"start"} if len(drawn) < 2 else set()))
             rows = [
-                Statistics(row.rows, f"{key.label} @ {key.dataset}" if several else key.label, row.group_of)
+                Statistics(row.rows, f"{key.label} @ {self._shown(key)}" if several else key.label, row.group_of)
                 for key, row in lines.items()
             ]
             table = error_table(caption, rows, figures=figures, solved_only=choice.columns == "all", comparable=False)
