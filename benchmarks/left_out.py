@@ -365,7 +365,7 @@ def compared(rows_of: Mapping[str, Sequence[Row]]) -> str:
             good = 100 * np.mean([is_good(*row.size) for row in group])
             errors.setdefault(name, {})[choice] = np.log(middle)
             cells.setdefault(name, {})[choice] = f"{size(*middle)} ({size(*mean)}), {good:.0f} %"
-    known = {name: found for name, found in errors.items() if len(found) == len(rows_of)}
+    known = {name: by_choice for name, by_choice in errors.items() if len(by_choice) == len(rows_of)}
 
     def best(names: Sequence[str]) -> str:
         return min(rows_of, key=lambda choice: float(np.mean([known[name][choice] for name in names])))
@@ -375,7 +375,7 @@ def compared(rows_of: Mapping[str, Sequence[Row]]) -> str:
         rig = name.partition(",")[0]
         chosen = best([other for other in known if other.partition(",")[0] != rig])
         lines.append((name, *(cells[name][choice] for choice in rows_of), chosen))
-    means = (np.exp(np.mean([found[choice] for found in known.values()], axis=0)) for choice in rows_of)
+    means = (np.exp(np.mean([by_choice[choice] for by_choice in known.values()], axis=0)) for choice in rows_of)
     lines.append(("all, geometric mean", *(size(*mean) for mean in means), best([*known])))
     return table(("rig: median (mean), good", *rows_of, "best on the others"), lines)
 

@@ -1,4 +1,4 @@
-"""A road with more beside it than any kind of road has by itself, for training: no two look alike."""
+"""A road with vehicles, walls, plants and posts close to the rig, in any combination, for training."""
 
 from __future__ import annotations
 
