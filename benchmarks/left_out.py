@@ -352,8 +352,8 @@ def _quantile(values: Float, weight: Float, share: float) -> float:
 def compared(rows_of: Mapping[str, Sequence[Row]]) -> str:
     """Return the table of errors by choice and rig, each with the choice that is best on all other rigs.
 
-    Best has the lowest mean, over rigs, of the logarithm of the median errors in rotation and in translation; single
-    frames and joint calibrations are rows of their own.
+    Best has the lowest mean, over rigs whose reference is not in question, of the logarithm of the median errors in
+    rotation and in translation; single frames and joint calibrations are rows of their own.
     """
     errors: dict[str, dict[str, Float]] = {}
     cells: dict[str, dict[str, str]] = {}
@@ -366,6 +366,7 @@ def compared(rows_of: Mapping[str, Sequence[Row]]) -> str:
             errors.setdefault(name, {})[choice] = np.log(middle)
             cells.setdefault(name, {})[choice] = f"{size(*middle)} ({size(*mean)}), {good:.0f} %"
     known = {name: by_choice for name, by_choice in errors.items() if len(by_choice) == len(rows_of)}
+    used = [name for name in known if name.partition(",")[0] not in IN_QUESTION]
 
     def best(names: Sequence[str]) -> str:
         return min(rows_of, key=lambda choice: float(np.mean([known[name][choice] for name in names])))
@@ -373,10 +374,10 @@ def compared(rows_of: Mapping[str, Sequence[Row]]) -> str:
     lines = []
     for name in known:
         rig = name.partition(",")[0]
-        chosen = best([other for other in known if other.partition(",")[0] != rig])
+        chosen = best([other for other in used if other.partition(",")[0] != rig])
         lines.append((name, *(cells[name][choice] for choice in rows_of), chosen))
-    means = (np.exp(np.mean([by_choice[choice] for by_choice in known.values()], axis=0)) for choice in rows_of)
-    lines.append(("all, geometric mean", *(size(*mean) for mean in means), best([*known])))
+    means = (np.exp(np.mean([known[name][choice] for name in used], axis=0)) for choice in rows_of)
+    lines.append(("all but references in question, geometric mean", *(size(*mean) for mean in means), best(used)))
     return table(("rig: median (mean), good", *rows_of, "best on the others"), lines)
 
 
