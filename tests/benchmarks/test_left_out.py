@@ -64,4 +64,9 @@ def test_the_choice_for_a_rig_is_the_one_that_is_best_on_all_others() -> None:
     lines = [line.split("|") for line in compared({"good": good, "better": better}).splitlines()]
     assert lines[0][2].strip() == "good"
     chosen = {line[1].strip(): line[-2].strip() for line in lines[2:]}
-    assert chosen == {"a": "good", "b": "better", "c": "better", "all but references in question, geometric mean": "better"}
+    assert chosen == {
+        "a": "good",
+        "b": "better",
+        "c": "better",
+        "all but references in question, geometric mean": "better",
+    }

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 from p2o import se3
-from p2o_sim import RandomRig, random_rig
+from p2o_sim import RandomRig, random_rig, random_vehicle
 from p2o_sim.sensing.rig_sampling import DRAWN_LIDARS, FIELD_DEG, FOCAL_PX, SIZES_PX
 
 
@@ -70,3 +70,15 @@ def test_a_smaller_picture_shows_the_same() -> None:
     assert small.width_px * small.height_px == pytest.approx(0.05e6, rel=0.02)
     assert small.focal_px / small.width_px == pytest.approx(large.focal_px / large.width_px, rel=0.01)
     assert (small.mount, small.camera, small.lidar) == (large.mount, large.camera, large.lidar)
+
+
+def test_rigs_of_vehicles_have_rings_and_upright_cameras_most_of_which_look_ahead() -> None:
+    rng = np.random.default_rng(0)
+    vehicles = [random_vehicle(rng) for _ in range(300)]
+    assert "mid-40" not in {rig.lidar for rig in vehicles}
+    axes = np.stack([_axes(rig) for rig in vehicles])
+    assert (axes[:, 1, 1] > 0.95).mean() > 0.95
+    ahead = axes[:, 2, 2] > np.cos(np.radians(10.0))
+    assert 0.5 < ahead.mean() < 0.7
+    assert (axes[~ahead, 0, 2] > 0.3).any()
+    assert (axes[~ahead, 0, 2] < -0.3).any()

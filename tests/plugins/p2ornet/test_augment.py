@@ -333,3 +333,14 @@ def test_other_light_keeps_the_place_of_things_and_stays_in_range() -> None:
         assert lit.shape == step.shape
     changed = [relit(rgb, strong, np.random.default_rng(seed)).astype(int).mean() for seed in range(20)]
     assert np.std(changed) > 10
+
+
+def test_painted_marks_change_a_part_of_the_picture_and_no_label() -> None:
+    example = Example("grey", np.full((90, 120, 3), 128, np.uint8), np.ones((2, 90, 120), np.int8), Spans.joined())
+    options = Augmentation(scale=1, mirror=False, light=0, blur_px=0, noise=0, marks=3)
+    crops = [crop(example, (90, 120), options, np.random.default_rng(seed)) for seed in range(30)]
+    painted = np.array([(c.rgb != 128).any(axis=2).mean() for c in crops])
+    assert 0.3 < (painted > 0).mean() < 0.8
+    assert painted.max() < 1
+    for c in crops:
+        assert (c.classes == crops[0].classes).all()
