@@ -54,7 +54,7 @@ class Outcome:
 def cases() -> Iterator[Case]:
     """Yield the cases."""
     for name in ("drive-hdl64", "drive-32-rings", "drive-16-rings"):
-        for weights in ("kitti", "synthetic"):
+        for weights in ("free", "kitti"):
             rig = replace(rig_of(name), weights=weights)
             frames = rig.samples(FEATURES, most=14)
             for at in (2, 7, 12):
@@ -62,7 +62,7 @@ def cases() -> Iterator[Case]:
     for lidar in ("vlp-16", "hdl-32e", "hdl-64e"):
         for place in ("street", "traffic"):
             data = f"synthetic:?right=false&lidar={lidar}&place={place}&width_px=800&height_px=300"
-            for weights in ("kitti", "synthetic"):
+            for weights in ("free", "kitti"):
                 moving = Rig("moving", f"{data}&scenes=10&seed=11", weights=weights)
                 frames = moving.samples(FEATURES)
                 for seed in (1, 2, 3):
