@@ -96,7 +96,7 @@ def test_runs_are_loaded_when_a_row_is_opened(page: Page) -> None:
     page.click("#rows tbody tr.live td")
     page.until_equal(lambda: page.text("#runs-count"), "30 of 30 runs, those with the largest errors first")
     assert page.column("runs", "rotation [deg]")[0] == "0.500"
-    assert page.column("runs", "frames")[0] == "drive/005"
+    assert page.column("runs", "frame")[0] == "drive/005"
     assert set(page.column("runs", "verdict")) == {"trusted"}
     assert set(page.column("runs", "translation 67 % [cm]")) == {"unobservable"}
     [url] = page.requests()

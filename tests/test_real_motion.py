@@ -13,7 +13,9 @@ FAST = ["0028/0000000071", "0028/0000000228", "0028/0000000284", "0028/000000031
 
 def test_a_standing_car_and_a_fast_one_are_told_apart_along_with_the_pose(kitti_raw: Path) -> None:
     data = f"kitti-raw:{kitti_raw}?right=false&depth=false"
-    run = p2o.calibrate(data, frames=",".join(STANDING + FAST), joint=True, perturb="1deg 0.1m")
+    run = p2o.calibrate(
+        data, frames=",".join(STANDING + FAST), joint=True, perturb="1deg 0.1m", options=["extractor.weights=kitti"]
+    )
     speed = {motion.frame.partition("/")[2]: motion.speed_m_s for motion in run.result.motions}
     assert sorted(speed) == sorted(STANDING + FAST)
     assert min(speed[name] for name in FAST) > max(speed[name] for name in STANDING) + 8.0

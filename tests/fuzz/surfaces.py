@@ -274,7 +274,7 @@ _STAGES: tuple[tuple[str, str, str | None], ...] = (
 def _setting(rng: Random, stage: str, kind: str, name: str | None) -> str:
     """Return STAGE.FIELD=VALUE for a field of a method, with a value inside its bounds, at them, or beyond."""
     model = _options_of(kind, name)
-    if model is None:
+    if model is None or not model.model_fields:
         return f"{stage}.{_word(rng)}={_word(rng)}"
     shape = model.model_json_schema()["properties"]
     key = rng.choice(sorted(shape))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -54,6 +54,7 @@ def row_columns(group: Group, summary: Summary) -> list[Column]:
     """Return the columns of the rows of a group; most are empty for published rows."""
     metrics = [(metric, None) for metric in summary.norms] + [(metric, "by axis") for metric in summary.axes]
     verdict = Column("verdict", text=True, hide=3, of=lambda row: cell(row.trusted, trust_text(row.trust)))
+    verdicts = [verdict] if _have_verdicts(run for row in group.measured for run in row.rows) else []
     figures = (figure.column for figure in figures_of(group.measured, _NOT_ON_PAGE))
     return [
         Column("row", text=True, hide=0, of=_label),
@@ -68,7 +69,7 @@ def row_columns(group: Group, summary: Summary) -> list[Column]:
             for metric, option in metrics
             for statistic in STATISTICS
         ),
-        *(replace(column, of=partial(_measured, column)) for column in (verdict, *figures)),
+        *(replace(column, of=partial(_measured, column)) for column in (*verdicts, *figures)),
         Column("start", text=True, hide=6, of=_starts),
     ]
 
@@ -96,10 +97,14 @@ def _figure(row: Statistics | Published, group: Group, metric: str, statistic: S
     return error_cell(row, metric, statistic, "strong" if leads(row, group.measured, metric, statistic) else None)
 
 
-def run_columns(images: OverlayImages) -> list[Column]:
-    """Return the columns of runs; ▣ marks runs with overlays."""
+def _have_verdicts(runs: Iterable[Row]) -> bool:
+    return any(run.trust is not None for run in runs)
+
+
+def run_columns(runs: Sequence[Row], images: OverlayImages) -> list[Column]:
+    """Return the columns of runs, without verdicts if they have none; ▣ marks runs with overlays."""
     drawn = {key for key, _ in images.of}
-    frame, *others = RUN_COLUMNS
+    frame, *others = (column for column in RUN_COLUMNS if column is not VERDICT or _have_verdicts(runs))
     return [
         Column("row", text=True, hide=0, of=lambda run: run.row),
         replace(frame, of=lambda run: f"{run.place}{' ▣' * (run.key in drawn)}"),
@@ -284,12 +289,13 @@ def _group(group: Group, summary: Summary, opened: Opened, images: OverlayImages
     counted = " runs"
     if total > len(taken):
         counted += f", the worst of each row; all {total} runs are in {summary.name}.jsonl"
+    columns = run_columns(taken, images)
     runs = html.table(
-        run_columns(images),
+        columns,
         taken,
         name="runs",
         search=True,
-        filters=["row", "status", "verdict", "overlays"],
+        filters=[name for name in ("row", "status", "verdict", "overlays") if name in {each.name for each in columns}],
         opens=[opened[id(run)] for run in taken],
         counted=counted,
     )
