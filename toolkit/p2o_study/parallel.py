@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import concurrent.futures
 import contextlib
+import errno
 import faulthandler
 import importlib
 import itertools
@@ -127,6 +128,8 @@ class Workers:
         except (P2OError, GeneratorExit, KeyboardInterrupt):
             raise
         except Exception as problem:
+            if isinstance(problem, OSError) and problem.errno in (errno.EMFILE, errno.ENFILE):
+                raise  # the command names the limit
             text = f"the workers of --backend {self.backend} were lost"
             hint = "finished rows are kept: run the same command, with fewer --jobs if memory was exhausted"
             got = f"{type(problem).__name__}: {one_line(problem)}"
