@@ -82,6 +82,8 @@ def test_a_run_imports_no_reports_and_no_package_that_it_does_not_need(extractor
     assert not {"p2o_study.report", "p2o_study", "scipy.optimize"} & set(loaded)
     packages = {name.partition(".")[0] for name in loaded}
     assert not packages & {"torch", "kornia", "pycolmap", "pyceres", "matplotlib", "joblib"}
+    listed = [name for name in loaded if name.partition(".")[0] in ("p2o_baselines", "p2o_datasets", "p2o_formats")]
+    assert {name.partition(".")[2] for name in listed} <= {"", "hooks", "commands"}, "what a run does not use is listed"
 
 
 def test_without_a_driver_of_a_gpu_the_default_run_imports_no_torch() -> None:

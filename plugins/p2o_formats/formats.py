@@ -1,40 +1,27 @@
-"""Registry of the calibration file formats of this package."""
+"""The calibration file formats of this package by name."""
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Mapping
 
 from p2o import UnknownNameError
 
-from p2o_formats import (
-    autoware,
-    calib_anything,
-    camera_info,
-    colmap,
-    fast_livo,
-    kalibr,
-    kitti_text,
-    koide,
-    matrix_file,
-    opencalib,
-    opencv_yaml,
-    plain_text,
-    result_file,
-    ros_transform,
-)
+from p2o_formats import hooks
 from p2o_formats.format import Format
 
-_FORMATS = (
-    matrix_file.NPY_FORMAT, ros_transform.FORMAT, opencv_yaml.FORMAT, result_file.FORMAT, koide.FORMAT,
-    opencalib.FORMAT, opencalib.CAMERA_FORMAT, fast_livo.FORMAT, calib_anything.FORMAT, colmap.FORMAT,
-    colmap.CAMERAS_FORMAT, camera_info.FORMAT, kalibr.FORMAT, autoware.FORMAT, kitti_text.FORMAT, plain_text.FORMAT,
-    matrix_file.TEXT_FORMAT,
-)  # fmt: skip
-FORMATS: Mapping[str, Format] = {form.name: form for form in _FORMATS}
-"""All formats by name."""
 
-WRITTEN: Mapping[str, Format] = {name: form for name, form in FORMATS.items() if form.write is not None}
+def _named(*places: str) -> Mapping[str, Format]:
+    parts = (place.partition(":") for place in places)
+    forms = [getattr(importlib.import_module(f"p2o_formats.{module}"), name) for module, _, name in parts]
+    return {form.name: form for form in forms}
+
+
+WRITTEN = _named(*hooks.WRITTEN)
 """The formats that can be written."""
+
+FORMATS = {**WRITTEN, **_named(*hooks.READ_ONLY)}
+"""All formats."""
 
 
 def format_named(name: str, where: object = None) -> Format:

@@ -1,26 +1,27 @@
-"""Register the readers and exporters of this package."""
+"""Register the readers and exporters of this package; a format is imported when it is used."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
-from p2o import Method, hookimpl
+from p2o import Method, hookimpl, methods_at
 
-# Formats are imported inside the hooks, so that `p2o --help` loads none of them.
+WRITTEN = (
+    "matrix_file:NPY_FORMAT", "matrix_file:TEXT_FORMAT", "ros_transform:FORMAT", "opencv_yaml:FORMAT", "koide:FORMAT",
+    "opencalib:FORMAT", "opencalib:CAMERA_FORMAT", "fast_livo:FORMAT", "colmap:FORMAT", "colmap:CAMERAS_FORMAT",
+    "camera_info:FORMAT", "kalibr:FORMAT", "autoware:FORMAT", "kitti_text:FORMAT", "plain_text:FORMAT",
+)  # fmt: skip
+"""The formats that can be written, as MODULE:NAME."""
+READ_ONLY = ("result_file:FORMAT", "calib_anything:FORMAT")
 
 
 @hookimpl
 def p2o_calibration_readers() -> Iterator[Method]:
-    """Yield the readers of all formats."""
-    from p2o_formats.formats import FORMATS
-
-    yield from (form.reader() for form in FORMATS.values())
+    """Offer the readers of all formats."""
+    return methods_at("p2o_formats", [f"{place}.reader" for place in (*WRITTEN, *READ_ONLY)])
 
 
 @hookimpl
 def p2o_exporters() -> Iterator[Method]:
-    """Yield the exporters of all formats that can be written, and the exporter of complete results."""
-    from p2o_formats.formats import WRITTEN
-    from p2o_formats.result_file import EXPORTER
-
-    yield from (EXPORTER, *(form.exporter() for form in WRITTEN.values()))
+    """Offer the exporters of all formats that can be written, and the exporter of complete results."""
+    return methods_at("p2o_formats", ["result_file:EXPORTER", *(f"{place}.exporter" for place in WRITTEN)])

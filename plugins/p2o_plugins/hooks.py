@@ -1,18 +1,14 @@
-"""Offers every method of this package; each lives in the file of its name."""
+"""Offers every method of this package; each lives in the file of its name, which is imported when it is used."""
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Iterator
 
-from p2o import Method, hookimpl
+from p2o import Method, hookimpl, methods_at
 
 
 def _methods(folder: str, *files: str) -> Iterator[Method]:
-    """Import each file when its method is asked for, so that nothing is read for `p2o --help`."""
-    for file in files:
-        method: Method = importlib.import_module(f"p2o_plugins.{folder}.{file}").METHOD
-        yield method
+    return methods_at("p2o_plugins", [f"{folder}.{file}" for file in files])
 
 
 @hookimpl
@@ -49,6 +45,4 @@ def p2o_initializers() -> Iterator[Method]:
 @hookimpl
 def p2o_accumulators() -> Iterator[Method]:
     """Offer the accumulators."""
-    from p2o_plugins.accumulate import joining
-
-    return iter(joining.METHODS)
+    return _methods("accumulate", "joining:GICP", "joining:KISS_ICP", "joining:POSES")

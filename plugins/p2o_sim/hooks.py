@@ -4,14 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from p2o import Method, hookimpl
-
-# Modules are imported inside the hook, so that `p2o --help` loads none of them.
+from p2o import Method, hookimpl, methods_at
 
 
 @hookimpl
 def p2o_datasets() -> Iterator[Method]:
-    """Yield the simulated data sets."""
-    from p2o_sim import synthetic, vkitti2
-
-    yield from (synthetic.METHOD, vkitti2.METHOD)
+    """Offer the simulated data sets."""
+    return methods_at("p2o_sim", ("synthetic", "vkitti2"))

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from p2o.geometry.pose_error import PoseError as PoseError, pose_error as pose_error
     from p2o.host.hookspecs import hookimpl as hookimpl
     from p2o.host.method import PLUGIN_API as PLUGIN_API, Example as Example, Kind as Kind, Method as Method
+    from p2o.host.method_index import methods_at as methods_at
     from p2o.host.registry import Registry as Registry
     from p2o.host.stages import Accumulator as Accumulator, Calibrator as Calibrator, CloudExtractor as CloudExtractor
     from p2o.host.stages import Exporter as Exporter, ImageExtractor as ImageExtractor, Initializer as Initializer

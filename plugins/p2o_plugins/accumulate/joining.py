@@ -69,33 +69,31 @@ def build_kiss_icp(options: JoiningOptions) -> p2o.Accumulator:
     return Joining(options, poses_by_kiss_icp)
 
 
-METHODS = (
-    p2o.Method(
-        name="gicp",
-        build=build_gicp,
-        options=JoiningOptions,
-        summary="Joins sweeps of a sequence by poses that small_gicp finds from each sweep to the next.",
-        needs={"sequence"},
-        gives={"dense"},
-        cite="Koide, small_gicp, JOSS 2024; Segal et al., Generalized-ICP, RSS 2009",
-        extra="gicp",
-    ),
-    p2o.Method(
-        name="kiss-icp",
-        build=build_kiss_icp,
-        options=JoiningOptions,
-        summary="Joins sweeps of a sequence by poses that KISS-ICP finds against a map of the sweeps before.",
-        needs={"sequence"},
-        gives={"dense"},
-        cite="Vizzo et al., KISS-ICP, RA-L 2023",
-        extra="kiss-icp",
-    ),
-    p2o.Method(
-        name="poses",
-        build=Joining,
-        options=JoiningOptions,
-        summary="Joins sweeps of a sequence by the poses of the LiDAR that the data give.",
-        needs={"sequence", "lidar-pose"},
-        gives={"dense"},
-    ),
+GICP = p2o.Method(
+    name="gicp",
+    build=build_gicp,
+    options=JoiningOptions,
+    summary="Joins sweeps of a sequence by poses that small_gicp finds from each sweep to the next.",
+    needs={"sequence"},
+    gives={"dense"},
+    cite="Koide, small_gicp, JOSS 2024; Segal et al., Generalized-ICP, RSS 2009",
+    extra="gicp",
+)
+KISS_ICP = p2o.Method(
+    name="kiss-icp",
+    build=build_kiss_icp,
+    options=JoiningOptions,
+    summary="Joins sweeps of a sequence by poses that KISS-ICP finds against a map of the sweeps before.",
+    needs={"sequence"},
+    gives={"dense"},
+    cite="Vizzo et al., KISS-ICP, RA-L 2023",
+    extra="kiss-icp",
+)
+POSES = p2o.Method(
+    name="poses",
+    build=Joining,
+    options=JoiningOptions,
+    summary="Joins sweeps of a sequence by the poses of the LiDAR that the data give.",
+    needs={"sequence", "lidar-pose"},
+    gives={"dense"},
 )

@@ -78,7 +78,7 @@ def _settings(registry: Registry, before: str) -> Iterator[str]:
 
     yield from (f"pipeline.{field}=" for field in PipelineOptions.model_fields)
     for offer in registry.offers:
-        yield from (f"{SLOT_OF[offer.kind].stage}.{field}=" for field in offer.method.options.model_fields)
+        yield from (f"{SLOT_OF[offer.kind].stage}.{field}=" for field in offer.method.option_names)
 
 
 def _data(registry: Registry, before: str) -> Iterator[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -149,3 +150,8 @@ class Method:
             raise PluginError(f"method {self.name}: its trainer is none", expected="p2o.Trainer")
         if not self.summary:
             raise PluginError(f"method {self.name} has no summary", expected="one sentence")
+
+    @cached_property
+    def option_names(self) -> tuple[str, ...]:
+        """Names of the options."""
+        return tuple(self.options.model_fields)

@@ -25,9 +25,9 @@ import pluggy
 
 from p2o.errors import LONGEST, InputError, MethodUnavailable, P2OError, PluginError, UnknownNameError, one_line
 from p2o.files.input_file import MAX_TEXT_BYTES, expanded, read_bytes
-from p2o.frames.sparse import with_sparse_options
 from p2o.host import hookspecs
 from p2o.host.method import PLUGIN_API, Kind, Method
+from p2o.host.method_index import changed
 from p2o.host.slots import SLOT_OF
 
 if TYPE_CHECKING:
@@ -380,9 +380,15 @@ def _register(host: pluggy.PluginManager, source: _Source) -> Plugin:
                 if any(o.kind == kind and o.name == method.name for o in offers):
                     raise PluginError(f"{kind.hook} offers '{method.name}' twice", expected="each name once")
                 if kind is Kind.DATASET:
-                    method = replace(method, options=with_sparse_options(method.options))
+                    method = changed(method, _with_sparse_options)
                 offers.append(Offer(kind, method, source.dist, source.version, source.entry))
     return Plugin(source.dist, source.version, source.entry, tuple(offers))
+
+
+def _with_sparse_options(method: Method) -> Method:
+    from p2o.frames.sparse import with_sparse_options
+
+    return replace(method, options=with_sparse_options(method.options))
 
 
 def fault(offer: Offer, what: str, expected: object = None) -> PluginError:
