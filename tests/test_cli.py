@@ -168,10 +168,10 @@ def test_the_list_of_commands_begins_as_their_own_help_does(capsys: pytest.Captu
 # ---- p2o run
 
 
-def test_without_any_words_a_made_up_scene_is_calibrated(capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_data_the_built_in_frame_is_calibrated(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", "--perturb", "1deg 0.05m", "--verbose"]) == 0
     out = capsys.readouterr().out
-    assert out.startswith("scene-0000\n  status ")
+    assert out.startswith("street\n  status ")
     for label in ("initial", "result", "moved", "error", "seconds"):
         assert f"  {label} " in out
     before, after = (
@@ -466,10 +466,13 @@ DIGITS = 5000 * "9"
         ),
         (["run", "--set", "pipeline.rounds=" + DIGITS], "pipeline.rounds is not valid"),
         (
-            ["run", "--set", "data.scenes=[2020-01-01]"],
+            ["run", "synthetic:", "--set", "data.scenes=[2020-01-01]"],
             "data.scenes is not valid; expected a valid integer; got ['2020",
         ),
-        (["run", "--set", "data.scenes=" + 3000 * "["], "the value is nested too deeply; expected at most 64 levels"),
+        (
+            ["run", "synthetic:", "--set", "data.scenes=" + 3000 * "["],
+            "the value is nested too deeply; expected at most 64 levels",
+        ),
         (["run", "--set", "solver.tolerance=1", "--set", "solver.tolerance.y=2"], "solver.tolerance is set already"),
         (["run", "--seed", DIGITS], "Invalid value for '--seed'"),
         (

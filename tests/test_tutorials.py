@@ -50,7 +50,7 @@ def test_the_first_calibration(follow: Callable[[str], str], tmp_path: Path) -> 
     for word in re.findall(r"^- \*\*(\w+)\*\*", page("first-calibration"), re.MULTILINE):
         assert f"  {word} " in said
     for name in re.findall(r"`([\w-]+\.png)`", page("first-calibration")):
-        assert (tmp_path / "first/scene-0000" / name).is_file()
+        assert (tmp_path / "first/street" / name).is_file()
 
 
 def test_your_own_frames(follow: Callable[[str], str], tmp_path: Path) -> None:

@@ -11,5 +11,5 @@ from p2o import Method, hookimpl, methods_at
 def p2o_datasets() -> Iterator[Method]:
     """Offer the data sets."""
     kitti = ("kitti_360", "kitti_object", "kitti_odometry", "kitti_raw")
-    others = ("folder", "argoverse2", "nuscenes", "once", "pandaset", "waymo", "ros")
+    others = ("example", "folder", "argoverse2", "nuscenes", "once", "pandaset", "waymo", "ros")
     return methods_at("p2o_datasets", (*kitti, *others))

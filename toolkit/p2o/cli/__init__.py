@@ -136,7 +136,7 @@ def _show_version(ctx: click.Context, _: click.Parameter, wanted: bool) -> None:
 def group() -> None:
     """Estimate the extrinsic of camera and LiDAR from scenes without targets, and compare methods.
 
-    `p2o run` without options calibrates a synthetic scene. Exit status: 0 solved, 1 a calibration was refused or
+    `p2o run` without options calibrates a built-in frame. Exit status: 0 solved, 1 a calibration was refused or
     failed, 2 wrong usage or input, 70 a defect, 130 interrupted.
     """
 

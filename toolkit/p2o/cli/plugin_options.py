@@ -36,7 +36,7 @@ DATA = "[DATASET:]PATH"
 def data_argument(text: str, default: str | None = None) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Return a decorator that adds DATA as an argument and as the option --data, as parameter `data`.
 
-    Without `default`, the data have to be given; with an empty one they are None if they are not given.
+    Without `default`, the data have to be given.
     """
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -47,7 +47,7 @@ def data_argument(text: str, default: str | None = None) -> Callable[[Callable[.
             data = data_option if data_argument is None else data_argument
             if data is None and default is None:
                 raise click.UsageError(f"Missing argument '{DATA}'")
-            return command(data=data or default or None, **words)
+            return command(data=data or default, **words)
 
         option = click.option("--data", "data_option", metavar=DATA, shell_complete=complete_data, help=text)(with_data)
         return click.argument("data_argument", required=False, metavar=DATA, shell_complete=complete_data)(option)

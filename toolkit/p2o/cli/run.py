@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 
 @click.command("run", cls=StartCommand)
-@data_argument("The data (default: a synthetic scene, synthetic:).", default="")
+@data_argument("The data (default: the built-in frame, example:).", default="example:")
 @click.option(
     "--frames", metavar="SPEC", help="all, indices and ranges (0,4-7), @splits.json#test, or names (default: all)."
 )
@@ -152,7 +152,7 @@ def command(
     """Calibrate frames: estimate the transform from the LiDAR to the camera.
 
     \b
-    p2o run                                            a synthetic scene
+    p2o run                                            the built-in frame
     p2o run PATH --perturb "2deg 0.15m" --seed 1       the dataset is inferred from the files
     p2o run kitti-raw:PATH --frames @splits.json#test --joint --out out
     p2o run folder:PATH --method nid --joint           a published method
