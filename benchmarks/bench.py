@@ -118,7 +118,6 @@ def step_frame(data: str) -> dict[str, Cost]:
     """Measure all steps of a frame, from imports to images."""
     clock = Clock()
     with clock.of("import what computes the network"):
-        import onnx.helper  # noqa: F401
         import onnxruntime  # noqa: F401
     with clock.of("import the rest, find the methods"):
         from p2o.frames.scale import image_at_scale

@@ -70,7 +70,6 @@ HEAVY = {
     "matplotlib",
     "joblib",
     "safetensors",
-    "onnx",
     "onnxruntime",
     "cma",
     "laspy",
@@ -81,7 +80,7 @@ NETWORK = "p2o_plugins.p2ornet"
 REGRESSORS = "p2o_baselines.regressors"
 NETWORKS = (NETWORK, REGRESSORS)
 """The folders that may import heavy packages on import: methods import them when they need them."""
-LIGHT = {f"{NETWORK}.{name}" for name in ("design", "graph", "options", "shipped", "weights")} | {
+LIGHT = {f"{NETWORK}.{name}" for name in ("design", "graph", "onnx_file", "options", "shipped", "weights")} | {
     f"{REGRESSORS}.{name}"
     for name in (
         "design",

@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from p2o.host.stages import MatcherBase as MatcherBase, Solver as Solver
     from p2o.host.method import Trainer as Trainer, TrainingGroup as TrainingGroup
     from p2o.host.method import TrainingProgress as TrainingProgress
+    from p2o.runtime.lazy import attach as attach
     from p2o.training_loop import TrainingState as TrainingState, cosine_rate as cosine_rate
     from p2o.training_loop import StepOptions as StepOptions, run_steps as run_steps
     from p2o.options import Options as Options, field as field

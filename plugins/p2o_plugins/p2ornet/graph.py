@@ -17,9 +17,11 @@ from p2o import Float, UInt8
 from p2o.solving import cores
 
 from p2o_plugins.p2ornet.design import CLASSES, INFINITY, PLANS, Conv, Shape, network
+from p2o_plugins.p2ornet.onnx_file import FLOAT, UINT8, constant, node, tensor
+from p2o_plugins.p2ornet.onnx_file import model as onnx_model
 
 _Float32 = NDArray[np.float32]
-_OPSET, _IR_VERSION = 17, 8
+_OPSET = 17
 """ONNX opset of 2022, which any ONNX Runtime accepted by this package supports."""
 _PICTURE = "rgb"
 KEPT_PX = 1_500_000
@@ -96,23 +98,19 @@ class _Graph:
 
     def __init__(self, tensors: Mapping[str, _Float32]) -> None:
         self.tensors = tensors
-        self.nodes: list[Any] = []
-        self.constants: list[Any] = []
+        self.nodes: list[bytes] = []
+        self.constants: list[bytes] = []
 
     def node(self, kind: str, *inputs: str, **attributes: Any) -> str:
         """Add a node with one output, and return that one's name."""
-        from onnx import helper
-
         output = f"v{len(self.nodes)}"
-        self.nodes.append(helper.make_node(kind, list(inputs), [output], **attributes))
+        self.nodes.append(node(kind, inputs, output, **attributes))
         return output
 
     def constant(self, values: NDArray[Any] | np.float32) -> str:
         """Add a constant, and return its name."""
-        from onnx import numpy_helper
-
         name = f"c{len(self.constants)}"
-        self.constants.append(numpy_helper.from_array(np.ascontiguousarray(values), name))
+        self.constants.append(constant(name, values))
         return name
 
     def convolution(self, x: _Map, layer: Conv) -> _Map:
@@ -209,31 +207,20 @@ def model(tensors: Mapping[str, _Float32], shape: Shape, size: tuple[int, int]) 
     First those of all inclinations that the first pixel is occluded, then those that it occludes. `size` (H, W) is that
     of the image, a multiple of `shape.multiple`.
     """
-    from onnx import TensorProto, helper
-
     graph = _Graph(tensors)
     last = network(graph, _normalised(graph, shape, size), shape)
-    made = helper.make_graph(
-        graph.nodes,
-        "p2ornet",
-        [helper.make_tensor_value_info(_PICTURE, TensorProto.UINT8, (*size, 3))],
-        [helper.make_tensor_value_info(last.name, TensorProto.FLOAT, [1, last.parts[0][1], *size])],
-        graph.constants,
-    )
-    opsets = [helper.make_opsetid("", _OPSET)]
-    content: bytes = helper.make_model(made, opset_imports=opsets, ir_version=_IR_VERSION).SerializeToString()
-    return content
+    picture = tensor(_PICTURE, UINT8, (*size, 3))
+    answer = tensor(last.name, FLOAT, (1, last.parts[0][1], *size))
+    return onnx_model("p2ornet", graph.nodes, graph.constants, (picture, answer), _OPSET)
 
 
 def _normalised(graph: _Graph, shape: Shape, size: tuple[int, int]) -> _Map:
     """Return the image as a map of its three colours."""
-    from onnx import TensorProto
-
     plan = PLANS[shape.encoder]
     mean, std = np.array(plan.mean), np.array(plan.std)
     gain, offset = (
         graph.constant(values.astype(np.float32)[:, None, None]) for values in (1 / (255 * std), -mean / std)
     )
-    x = graph.node("Cast", graph.node("Transpose", _PICTURE, perm=[2, 0, 1]), to=TensorProto.FLOAT)
+    x = graph.node("Cast", graph.node("Transpose", _PICTURE, perm=[2, 0, 1]), to=FLOAT)
     x = graph.node("Add", graph.node("Mul", x, gain), offset)
     return _Map(((graph.node("Unsqueeze", x, graph.constant(np.array([0]))), 3),), *size)

@@ -181,7 +181,7 @@ def edges(weights: Path | str, rgb: UInt8) -> ImageEdges:
     return found
 
 
-def test_on_the_processor_no_torch_is_imported() -> None:
+def test_on_the_processor_neither_torch_nor_onnx_is_imported() -> None:
     code = (
         "import sys, numpy as np\n"
         "from p2o import Camera, Image\n"
@@ -189,7 +189,7 @@ def test_on_the_processor_no_torch_is_imported() -> None:
         "rgb = np.random.default_rng(0).integers(0, 256, (64, 96, 3), dtype=np.uint8)\n"
         "image = Image(rgb, Camera.pinhole(100, 100, 47.5, 31.5, 96, 64))\n"
         "print(len(build(P2ORNetOptions(device='cpu'))(image).edges) >= 0)\n"
-        "print(*(name for name in sys.modules if name.partition('.')[0] in ('torch', 'kornia')))\n"
+        "print(*(name for name in sys.modules if name.partition('.')[0] in ('torch', 'kornia', 'onnx')))\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert (done.stdout, done.stderr) == ("True\n\n", "")
@@ -197,7 +197,7 @@ def test_on_the_processor_no_torch_is_imported() -> None:
 
 def test_nothing_is_opened_but_the_weights_once_its_packages_are_loaded() -> None:
     code = (
-        "import sys, numpy as np, onnx.helper, onnx.numpy_helper, onnxruntime, safetensors\n"
+        "import sys, numpy as np, onnxruntime, safetensors\n"
         "from p2o_plugins.p2ornet.graph import Predictor\n"
         "from p2o_plugins.p2ornet.shipped import weights_named\n"
         "from p2o_plugins.p2ornet.weights import load_weights\n"

@@ -32,7 +32,7 @@ thread = threading.Thread(target=p2o.Camera, args=('OPENCV', 64, 48, (50, 50, 32
 thread.start()
 thread.join()""",
     "the solver ceres": "from p2o_plugins.solve.ceres import METHOD; METHOD.build(METHOD.options())",
-    "the network": "import onnxruntime, onnx, cv2",
+    "the network": "import onnxruntime, cv2",
     "a training": "import torch, kornia, cv2",
 }
 

@@ -13,7 +13,7 @@ from typing import Any
 def attach(module: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """Return `__getattr__`, `__dir__` and `__all__` of a public module.
 
-    The names are those that `file` imports from p2o in its block `if TYPE_CHECKING:`, which type checkers read, too.
+    The names are those that `file` imports in its block `if TYPE_CHECKING:`, which type checkers read, too.
     A name that is imported from a folder, and that the folder does not define, is a module itself.
     """
     blocks = [node for node in ast.parse(Path(file).read_bytes()).body if isinstance(node, ast.If)]
