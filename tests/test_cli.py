@@ -391,7 +391,7 @@ def png_size(path: Path) -> tuple[int, int]:
     return int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big")
 
 
-def test_out_holds_result_overlays_and_convergence_of_every_frame(tmp_path: Path) -> None:
+def test_out_holds_result_and_overlays_of_every_frame(tmp_path: Path) -> None:
     out = tmp_path / "new" / "out"
     assert main(["run", *QUICK, "--perturb", "0.5deg 0.02m", "--out", str(out)]) == 0
     home = out / "drive_0000"
@@ -399,7 +399,6 @@ def test_out_holds_result_overlays_and_convergence_of_every_frame(tmp_path: Path
         "after.png",
         "before.png",
         "cloud.ply",
-        "convergence.png",
         "result.json",
         "sweep-range-after.png",
         "sweep-range-before.png",
@@ -435,7 +434,7 @@ def test_a_joint_result_lies_in_the_folder_itself(fake: list[str], tmp_path: Pat
     pictures = ["after.png", "before.png", "cloud.ply"]
     pictures += [f"sweep-{by}-{name}.png" for by in ("range", "reflectance") for name in ("after", "before")]
     of_frames = [f"drive_000{number}/{name}" for number in (0, 1) for name in pictures]
-    assert files == ["convergence.png", *of_frames, "result.html", "result.json", "run.json"]
+    assert files == [*of_frames, "result.html", "result.json", "run.json"]
 
 
 # ---- errors

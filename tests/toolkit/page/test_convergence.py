@@ -10,7 +10,7 @@ import pytest
 from p2o import InputError, Result, Status
 from p2o.draw.overlay import COLOURS
 from p2o.page.convergence import convergence as figure_of
-from p2o.page.figure import write_figure
+from p2o.page.figure import drawn, save_figure
 from p2o.results.evidence import Judged
 from p2o.solving import Round
 
@@ -24,7 +24,7 @@ def _round(matches: dict[str, int], residual: float = 1.0, *, accepted: bool = T
 
 
 def convergence(result: Result, path: Path) -> None:
-    write_figure(figure_of(result), path)
+    save_figure(drawn(figure_of(result)), path)
 
 
 def _has(path: Path, letter: str) -> bool:

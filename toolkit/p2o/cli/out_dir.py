@@ -1,4 +1,4 @@
-"""The folder of `--out`: result JSON, overlays and a convergence plot of each result, written on completion."""
+"""The folder of `--out`: result JSON and overlays of each result, written on completion."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from p2o.errors import InputError
 from p2o.files.input_file import expanded
 from p2o.files.whole_file import make_writable, write_errors, write_json, write_whole
 from p2o.frames.scale import image_at_scale
-from p2o.page.run_page import IN_ROOT, PAGE, RESULT, ROUNDS, RUN, run_page
+from p2o.page.run_page import IN_ROOT, PAGE, RESULT, RUN, run_page
 from p2o.results.result import Status
 
 if TYPE_CHECKING:
@@ -35,9 +35,9 @@ _CLOUD = "cloud.ply"
 class OutDir:
     """The output folder DIR with run.json, the page result.html, and a folder DIR/FRAME for each frame.
 
-    A folder of a frame contains result.json, convergence.png, overlays (before.png, after.png), the sweep on the image
+    A folder of a frame contains result.json, overlays (before.png, after.png), the sweep on the image
     (sweep-range-*.png and, with intensity, sweep-reflectance-*.png) and cloud.ply, the coloured sweep. The result.json
-    and convergence.png of a joint result are in DIR, those of a camera of a rig in DIR/CAMERA. Frames of a rig
+    of a joint result is in DIR, that of a camera of a rig in DIR/CAMERA. Frames of a rig
     also have the overlays of the common result (common.png, sweep-range-common.png, ...). `folders` are by name.
     """
 
@@ -64,7 +64,7 @@ class OutDir:
     @property
     def files(self) -> list[Path]:
         """The files to be written."""
-        ours = (RESULT, ROUNDS, *(f"{name}.png" for name in _POSES), *_SWEEPS, _CLOUD)
+        ours = (RESULT, *(f"{name}.png" for name in _POSES), *_SWEEPS, _CLOUD)
         own = [self.root / folder / name for folder in self.folders.values() for name in ours]
         return [*(self.root / name for name in IN_ROOT), *own]
 
@@ -76,7 +76,7 @@ class OutDir:
         home = self.root if joint else self.root / self.folders[progress.camera or progress.frames[0].name]
         with _write_errors(home):
             write_json(home / RESULT, progress.row.as_dict())
-            self._draw(home, progress, progress.row.result)
+            self._draw(progress, progress.row.result)
 
     def write_common(self, calibrated: Sequence[Progress], rig: RigResult) -> None:
         """Write the overlays of the common result of a rig for the frames of its cameras, if it has a pose."""
@@ -104,12 +104,8 @@ class OutDir:
         count = sum((self.root / name).is_dir() for name in self.folders.values())
         return f"{RUN} and {count} folder{'s' if count != 1 else ''} of images, clouds and results"
 
-    def _draw(self, home: Path, progress: Progress, result: Result) -> None:
-        """Write the convergence plot, and the overlays and the coloured cloud of every frame."""
-        from p2o.page.convergence import convergence
-        from p2o.page.figure import write_figure
-
-        write_figure(convergence(result), home / ROUNDS)
+    def _draw(self, progress: Progress, result: Result) -> None:
+        """Write the overlays and the coloured cloud of every frame."""
         for frame in progress.frames:
             folder = self.root / self.folders[frame.name]
             folder.mkdir(parents=True, exist_ok=True)

@@ -43,11 +43,6 @@ def drawn(figure: Figure) -> Any:
     return out
 
 
-def write_figure(figure: Figure, path: Path | str) -> None:
-    """Write a figure as PNG; raises InputError if the file cannot be written."""
-    save_figure(drawn(figure), path)
-
-
 def figure_files(figure: Any) -> dict[str, bytes]:
     """Return a figure as "png" and "svg", in one layout; the same figure gives the same bytes."""
     import matplotlib

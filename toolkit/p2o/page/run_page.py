@@ -18,7 +18,7 @@ import numpy as np
 
 from p2o.arrays import Float, UInt8
 from p2o.calibration_files.number_text import digits, listed, matrix_rows, plain, quaternion_xyzw, spaced
-from p2o.draw.image_uri import webp_uri
+from p2o.draw.image_uri import jpeg_uri
 from p2o.errors import InputError
 from p2o.files.file_names import distinct_names
 from p2o.files.input_file import MAX_TEXT_BYTES, read_bytes, read_start, read_text
@@ -37,8 +37,8 @@ from p2o.results.result import Result
 from p2o.results.result_json import result_from_dict
 from p2o.results.verdict import Trust
 
-RUN, RESULT, ROUNDS, PAGE = "run.json", "result.json", "convergence.png", "result.html"
-IN_ROOT = (RUN, RESULT, ROUNDS, PAGE)
+RUN, RESULT, PAGE = "run.json", "result.json", "result.html"
+IN_ROOT = (RUN, RESULT, PAGE)
 """Files in the folder of a run itself: no folder of a frame can have one of these names."""
 OVERLAYS = (
     ("{}.png", "edges of both sensors"),
@@ -52,6 +52,8 @@ _MOST_FRAMES, _MOST_CHARS = 24, 2_500_000
 """At most this number of frames is shown; overlays beyond this number of characters are files beside the page."""
 _PNG = b"\x89PNG\r\n\x1a\n"
 _MOST_PIXELS = 100_000_000
+_WIDEST_PX = 65_535
+"""Longest side of a JPEG."""
 _DECIMALS = 9
 """Decimals of poses on the page, in metres or as elements of rotations; result.json contains all digits."""
 _ROS_KEYS = ("x", "y", "z", "qx", "qy", "qz", "qw")
@@ -316,7 +318,7 @@ class _Files:
         paths = [self.root / name for name in (pair.left, pair.right)]
         uris: list[str] = []
         if self.embedded < _MOST_CHARS:
-            uris = [webp_uri(_image(path)) for path in paths]
+            uris = [jpeg_uri(_image(path), _WIDEST_PX) for path in paths]
         size = sum(map(len, uris))
         if not uris or self.embedded + size > _MOST_CHARS:
             self.referenced = True
