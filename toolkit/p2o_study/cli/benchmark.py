@@ -352,16 +352,26 @@ def score(bench: _Bench, poses: str, suite: str, name: str, source: str, by: str
 @command.command("table")
 @click.argument("suite")
 @click.option("--section", metavar="NAME", help="One section of the suite (default: all).")
-@_takes("results", "suites")
-def table(bench: _Bench, suite: str, section: str | None) -> int:
+@click.option("--commands", is_flag=True, help="Print the `p2o run` command that repeats one calibration of each row.")
+@_takes("results", "data", "suites")
+def table(bench: _Bench, suite: str, section: str | None, commands: bool) -> int:
     """Print the tables of a suite in Markdown, from its rows; no data are needed.
 
     Means with 95 % intervals by bootstrap over independent groups, medians, refused calibrations, false accepts and
-    coverage of the predicted errors.
-    """
+    coverage of the predicted errors. With --commands, --root or --data give the paths in the commands.
+
+    \b
+    p2o benchmark table rigs
+    p2o benchmark table smoke --commands
+    """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
+    from p2o_study.benchmark.repeat import repeat_text
     from p2o_study.benchmark.tables import NOTE, Choice
 
     tables = bench.tables()(suite)
+    if commands:
+        rows = [row for row in bench.rows.latest(tables.suite.name) if section in (None, row.section)]
+        click.echo(repeat_text(tables.suite.all_rows(), rows))
+        return 0
     click.echo(tables.markdown(Choice(section)))
     click.echo(NOTE)
     return 0
