@@ -189,7 +189,7 @@ def figures_of(rows: Iterable[Statistics], without: Collection[str] = ()) -> lis
 
 @dataclass(frozen=True)
 class Entry:
-    """A column of a table of errors: heading, cell in a measured row (given those it is compared with), and in others."""
+    """A column of a table of errors: heading, cell of a measured row (given its rivals), cell of a published one."""
 
     header: str
     measured: Callable[[Statistics, Sequence[Statistics]], Cell]

@@ -401,9 +401,10 @@ def _error_size(row: Row) -> float:
 def _compared(suite: Suite, results: Rows) -> list[list[_Line]]:
     """Return the rows of a suite, one list for all that are compared with each other."""
     known = [
-        replace(line, rows=[row for row in line.rows if row.protocol == protocol])
+        replace(line, rows=own, label=line.label if own[0].method.external else own[0].row)
         for line in read_lines(suite, results, only_asked=False).values()
         for protocol in line.protocols
+        for own in [[row for row in line.rows if row.protocol == protocol]]
     ]
     lines = [_Line(suite, line, name) for line, name in zip(known, method_names(known), strict=True)]
     lines.sort(key=lambda line: line.comparable)
