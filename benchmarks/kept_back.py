@@ -1,8 +1,10 @@
 """Print the table of results on frames that were kept back from development, as measured by others.
 
     python benchmarks/kept_back.py FILE.md [--weights free] [--columns "deg median;cm median;good"]
+    python benchmarks/kept_back.py FILE.md --weights free --beside rigs
 
-FILE has a Markdown table with the columns set, weights and mode, as `kept-back-0.2.0.md`.
+FILE has a Markdown table with the columns set, weights and mode, as `kept-back-0.2.0.md`. With --beside the figures of
+development frames of the same rigs are beside them, from the rows of a suite with this version.
 """
 
 from __future__ import annotations
@@ -11,27 +13,77 @@ import argparse
 from pathlib import Path
 
 from limits_and_tables import table
+from p2o.host.registry import Registry
+from p2o_study.benchmark.lines import Key, read_lines
+from p2o_study.benchmark.suite import find_suite
+from p2o_study.rows import Rows
+from p2o_study.statistics import Statistics
+
+DEVELOPMENT = {
+    "odometry 00, later half": "odometry00",
+    "raw 2011_09_26, other drives": "kitti-raw",
+    "raw, unseen drive": "kitti-raw",
+    "waymo, later part": "waymo",
+    "hitsz, 16 rings": "hitsz",
+}
+"""The data set of the suite with development frames of the rig of a set; other sets have none."""
+LABELS = {"default": "default", "free": "free-weights"}
+"""The label of single frames in the suite by weights; that of joint calibrations ends with ", joint"."""
+COLUMNS = ("runs (frames)", "deg median", "deg mean", "cm median", "cm mean", "trusted", "trusted, outside 95 %")
 
 
-def kept_back(text: str, weights: str | None, columns: list[str] | None) -> str:
-    """Return the rows of the table in `text` with these weights, and these of its columns, as a Markdown table."""
+def read(text: str) -> list[dict[str, str]]:
+    """Return the rows of the table in `text`, by heading."""
     lines = [line.strip().strip("|").split("|") for line in text.splitlines() if line.startswith("|")]
     head, _, *rows = ([cell.strip() for cell in line] for line in lines)
-    chosen = [name for name in head if columns is None or name in ("set", "weights", "mode", *columns)]
+    return [dict(zip(head, row, strict=True)) for row in rows]
+
+
+def kept_back(rows: list[dict[str, str]], weights: str | None, columns: list[str] | None) -> str:
+    """Return the rows with these weights, and these of their columns, as a Markdown table."""
+    chosen = [name for name in rows[0] if columns is None or name in ("set", "weights", "mode", *columns)]
     if weights is not None:
-        rows = [row for row in rows if row[head.index("weights")] == weights]
         chosen.remove("weights")
-    return table(chosen, [[row[head.index(name)] for name in chosen] for row in rows])
+    return table(chosen, [[row[name] for name in chosen] for row in rows if weights in (None, row["weights"])])
+
+
+def development(line: Statistics | None) -> list[str]:
+    """Return the cells of `COLUMNS` of a row of a suite, "-" without one."""
+    if line is None:
+        return ["-"] * len(COLUMNS)
+    errors = []
+    for norm, factor, digits in (("rotation_deg", 1, 3), ("translation_m", 100, 1)):
+        median, mean = line.median(norm), line.mean(norm)
+        errors += [f"{factor * one.value:.{digits}f}" if one is not None else "-" for one in (median, mean)]
+    return [f"{line.count} ({line.frames})", *errors, str(line.trusted), str(line.outside_95.runs)]
+
+
+def beside(rows: list[dict[str, str]], weights: str, lines: dict[Key, Statistics]) -> str:
+    """Return the kept-back figures of sets with these weights after those of development frames of the same rig."""
+    by_label = {(key.dataset, key.label.removeprefix("without-rings ")): line for key, line in lines.items()}
+    cells = []
+    for row in (row for row in rows if row["weights"] == weights):
+        label = LABELS[weights] + (", joint" if row["mode"] == "joint" else "")
+        line = by_label.get((DEVELOPMENT.get(row["set"], ""), label))
+        cells.append([row["set"], row["mode"], *development(line), *(row[name] for name in COLUMNS)])
+    return table(["set", "mode", *COLUMNS, *(f"kept back: {name}" for name in COLUMNS)], cells)
 
 
 def main() -> None:
     """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("file", type=Path)
-    parser.add_argument("--weights")
+    parser.add_argument("--weights", choices=LABELS)
     parser.add_argument("--columns", type=lambda text: text.split(";"))
+    parser.add_argument("--beside", metavar="SUITE", help="a suite of single frames and joint calibrations")
+    parser.add_argument("--results", default="benchmarks/results")
     given = parser.parse_args()
-    print(kept_back(given.file.read_text(encoding="utf-8"), given.weights, given.columns))
+    rows = read(given.file.read_text(encoding="utf-8"))
+    if given.beside is None:
+        print(kept_back(rows, given.weights, given.columns))
+    else:
+        lines = read_lines(find_suite(given.beside, Registry.load()), Rows(given.results))
+        print(beside(rows, given.weights or "free", lines))
 
 
 if __name__ == "__main__":

@@ -147,13 +147,13 @@ def test_coverage_of_predicted_errors_and_false_accepts_are_in_the_tables() -> N
     runs = frames(1, "ours", [0.4, 1.5], trust=Trust.TRUSTED, figures=bounds)
     summary = summary_of(runs)
     line = cells(markdown(summary), "ours")
-    assert [line[name] for name in ("trusted", "false accepts", "outside 95 %")] == ["2", "1", "1"]
+    assert [line[name] for name in ("trusted", "false accepts", "outside 95 %")] == ["2", "1 (1 of 1)", "1 (1 of 1)"]
     assert [line[name] for name in ("predicted 67 %", "coverage 67 %", "coverage 95 %")] == [
         "0.500 deg 20.0 cm",
         "1/2 2/2",
         "1/2 2/2",
     ]
-    assert "Trusted: 2 runs, 1 of them with an error above 1 deg or 30 cm" in markdown(summary)
+    assert "Trusted: 2 runs, 1 (1 of 1) of them with an error above 1 deg or 30 cm" in markdown(summary)
     assert "Trusted: 2 runs" not in report_latex([summary])
     silent = [replace(run, figures={}) for run in runs]
     assert "| coverage 67 % |" not in markdown(summary_of(silent))
@@ -319,7 +319,7 @@ def test_verdicts_are_counted_in_tables_where_there_are_any() -> None:
     summary = summary_of([*known, *frames(6, "unknown", [2.0])], published=PUBLISHED)
     text = markdown(summary)
     names = ("trusted", "ambiguous", "false accepts")
-    assert [cells(text, "known")[name] for name in names] == ["3", "2", "0"]
+    assert [cells(text, "known")[name] for name in names] == ["3", "2", r"0 (\< 64 %)"]
     for label in ("unknown", "*RGGNet (published: Yuan et al. 2020)*"):
         assert [cells(text, label)[name] for name in names] == ["-"] * 3
     assert "ambiguous" in report_latex([summary]).partition(r"\midrule")[0]
@@ -360,7 +360,7 @@ def panels_of(kind: str, runs: list[Row]) -> list[Panel]:
 def test_a_box_shows_the_quartiles_of_the_signed_errors() -> None:
     turns = [-3.0, -1.5, 0.0, 1.5, 3.0]
     roll = panels_of("boxplot", [run_of("a", f"f{i}", 0, turn, 0.1) for i, turn in enumerate(turns)])[0]
-    assert (roll.x.title, roll.y.names) == ("roll [deg]", ["a"])
+    assert (roll.x.title, roll.y.names) == ("roll [deg]", ["a (n = 5)"])
     assert np.allclose(roll.series[0].x, [[-2, -1, 0, 1, 2]]), "2/3 of the turns"
 
 
@@ -505,7 +505,7 @@ def test_the_median_predicted_error_of_a_row_is_in_its_tables() -> None:
 def blank_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Write empty figures, in tests of other parts of a report: drawing takes most of its time."""
     monkeypatch.setattr("p2o.page.figure.drawn", lambda figure: None)
-    monkeypatch.setattr("p2o.page.figure.figure_files", lambda figure: {"png": b"", "svg": b""})
+    monkeypatch.setattr("p2o.page.figure.figure_files", lambda figure: {"png": b"", "svg": b"", "pdf": b""})
 
 
 @pytest.fixture(scope="module")
@@ -520,7 +520,9 @@ def test_a_report_has_tables_figures_and_a_page(reported: tuple[Path, ...]) -> N
     assert folder.name == "report"
     assert {p.name for p in folder.iterdir()} == names
     figures = {f"table2-{g}-{kind}" for g in (1, 2) for kind in ("boxplot", "convergence", "frames")}
-    assert names == {"report.html", "report.md", "report.tex"} | {f"{f}.{e}" for f in figures for e in ("png", "svg")}
+    assert names == {"report.html", "report.md", "report.tex"} | {
+        f"{f}.{e}" for f in figures for e in ("png", "svg", "pdf")
+    }
     text = (folder / "report.md").read_text()
     assert set(re.findall(r"\]\(([^)]*)\)", text)) == {f"{f}.png" for f in figures}
     for figure in figures:

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from p2o.cli import main
 from p2o_study.benchmark import page as pages
+from p2o_study.curves import common_name
 from p2o_study.rows import Rows
 
 from tests.p2o_study.benchmark_pages import command, rows_of, written
@@ -17,10 +18,10 @@ ROOT = Path(__file__).parents[2]
 
 
 def test_the_common_name_of_a_method_is_that_of_its_labels_in_whole_words() -> None:
-    assert pages.common_name(["ours from 1deg 0.08m", "ours from 1deg 0.3m", "ours from 20deg 1.5m"]) == "ours"
-    assert pages.common_name(["edges, search", "edges, search, 5 frames"]) == "edges, search"
-    assert pages.common_name(["alone, 2 frames"]) == "alone, 2 frames"
-    assert pages.common_name(["one", "other"]) == "one"
+    assert common_name(["ours from 1deg 0.08m", "ours from 1deg 0.3m", "ours from 20deg 1.5m"]) == "ours"
+    assert common_name(["edges, search", "edges, search, 5 frames"]) == "edges, search"
+    assert common_name(["alone, 2 frames"]) == "alone, 2 frames"
+    assert common_name(["one", "other"]) == "one"
 
 
 def test_an_earlier_page_leaves_no_runs_behind(tmp_path: Path) -> None:
@@ -41,7 +42,7 @@ def test_rows_beyond_the_size_of_the_page_are_left_out_and_counted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(pages, "MAX_BYTES", 3000)
-    page = written(tmp_path, [row for number in range(9) for row in rows_of(f"method {number}", [0.1])])
+    page = written(tmp_path, [row for number in range(9) for row in rows_of(f"method {number}", [0.1], external=True)])
     out = capsys.readouterr().out
     assert "rows left out" in out
     data = description(page)

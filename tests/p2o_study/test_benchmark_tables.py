@@ -97,7 +97,7 @@ def test_each_data_set_has_rows_of_its_own_and_a_page_chooses_some(board: Board)
     ]
     [only] = [line for line in tables.markdown(Choice(data=("other",))).splitlines() if "quick" in line]
     assert only.startswith("| quick | 10 | 2 |")
-    assert "coverage 67 %" not in tables.markdown(Choice(columns="brief"))
+    assert "coverage 67 %" not in tables.markdown(Choice(columns=("brief",)))
     with pytest.raises(UnknownNameError, match="othr"):
         tables.markdown(Choice(data=("othr",)))
 
@@ -120,6 +120,114 @@ def test_labels_with_commas_are_chosen_by_their_whole_words(board: Board) -> Non
     assert apart.markdown(Choice(sections="together")).count("**") == 2
     both = rendered(page.replace("frames", "frames, quick"), "page.md", writers)
     assert "| quick |" in both
+
+
+def opened(board: Board) -> SuiteTables:
+    registry = Plugins.of((), (str(PLUGIN),)).registry()
+    return SuiteTables.read(find_suite(str(board.root / "tiny.toml"), registry), board.results)
+
+
+def test_a_pooled_line_has_the_rows_of_all_data_sets_and_counts_those_of_development(board: Board) -> None:
+    """Three frames of one data set and two of another; the mean is over all 25 runs."""
+    second = '[[dataset]]\nname = "other"\ndata = "tiny:?frames=2"\ndevelopment = true\n'
+    board.write(study=HEAD + second + QUICK_ROW)
+    rows = board.measured()
+    mean = np.mean([row.error.rotation_deg for row in rows if row.error is not None])
+    below = opened(board).markdown(Choice(pooled="below"))
+    line = cells(below, "quick @ 2 data sets, 1 of them †")
+    assert (line["runs"], line["frames"], line["groups"]) == ("25", "5", "5")
+    assert line["rotation mean [deg]"].startswith(f"{mean:.3f} [")
+    assert cells(below, "quick @ other †")["runs"] == "10"
+    only = opened(board).markdown(Choice(pooled="only"))
+    assert [text.split(" | ")[0] for text in only.splitlines() if text.startswith("| q")] == [
+        "| quick @ 2 data sets, 1 of them †"
+    ]
+
+
+def test_columns_are_chosen_by_name_in_their_order(board: Board, capsys: pytest.CaptureFixture[str]) -> None:
+    board.write(study=HEAD + QUICK_ROW)
+    board.measured()
+    text = table(board, capsys, "--columns", "rotation per axis mean, runs, not moved, translation mean [cm]")
+    head = next(line for line in text.splitlines() if line.startswith("| row"))
+    assert head == "| row | rotation per axis mean [deg] | runs | not moved | translation mean [cm] |"
+    assert board.command("table", "--columns", "rotation meen") == 2
+    assert "did you mean rotation mean" in capsys.readouterr().err
+
+
+PUBLISHED_ROW = """
+[[published]]
+label = "theirs"
+beside = "quick"
+source = "A Journal"
+values = { rotation_deg = 0.7, translation_m = 0.05 }
+[[published]]
+label = "of another row"
+beside = "nearest"
+source = "A Journal"
+values = { rotation_deg = 0.1 }
+"""
+
+
+def test_published_figures_are_beside_the_row_that_they_compare_with(board: Board) -> None:
+    """A suite has the published figures of its study as far as it has their rows; both readings are of one figure."""
+    own = '[[row]]\nlabel = "quick"\ncalibrator = "quick"\nwitness = "none"\n'
+    nearest = '[[row]]\nlabel = "nearest"\nmatcher = "nearest"\nwitness = "none"\n'
+    board.write(study=HEAD + own + nearest + PUBLISHED_ROW, suite=SUITE + own)
+    board.measured()
+    text = opened(board).markdown(Choice(columns=("rotation mean", "rotation per axis mean", "roll mean")))
+    assert "*theirs (published: A Journal)* | *0.700* | *0.700* | - |" in text
+    assert "of another row" not in text
+
+
+def frames_suite(board: Board) -> None:
+    rows = [
+        QUICK_ROW.replace('"quick"', f'"quick, {size} frame{"s" * (size > 1)}"', 1)
+        + f'section = "{size} frames"\n'
+        + (f"joint = {size}\n" if size > 1 else "")
+        for size in (1, 2, 4)
+    ]
+    board.write(study=HEAD.replace("frames = 3", "frames = 4") + "".join(rows))
+
+
+def test_errors_over_the_number_of_frames_are_by_method_with_the_number_that_a_target_needs(
+    board: Board, tmp_path: Path
+) -> None:
+    """The test's method halves any initial error: 1 deg and 5 cm become 0.5 deg and 2.5 cm whatever the frames."""
+    frames_suite(board)
+    board.measured()
+    tables = opened(board)
+    text = tables.markdown(Choice(over="frames", target="0.51deg 0.03m", reference="0.1deg 0.01m"))
+    first, *_ = text.splitlines()
+    assert first.endswith("with 1 frame quick; with 2 frames quick; with 4 frames quick.")
+    line = cells(text, "quick").values()
+    assert list(line)[::-1][1:] == [*["0.500 deg, 2.5 cm"] * 3, "1"]
+    assert "| not reached with 4 |" in tables.markdown(Choice(over="frames", target="0.49deg 0.03m"))
+    assert board.command("table", "--figures", str(tmp_path / "figures")) == 0
+    names = sorted(path.name for path in (tmp_path / "figures").iterdir())
+    assert names == [f"tiny-over-frames.{form}" for form in ("pdf", "png", "svg")]
+
+
+def test_lines_of_a_foreign_method_are_apart_as_those_of_every_method(
+    board: Board, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One section with single frames, pairs and all frames, from two initial errors: five kinds of calibrations."""
+    kinds = (("a", ""), ("b", "joint = 2\n"), ("c", "joint = true\n"), ("d", 'perturb = "2deg 0.1m"\n'))
+    rows = [QUICK_ROW.replace('"quick"', f'"{name}"', 1) + f'section = "one"\n{words}' for name, words in kinds]
+    rows.append(QUICK_ROW.replace('"quick"', '"e"', 1) + 'section = "two"\n')
+    board.write(study=HEAD.replace("frames = 3", "frames = 4") + "".join(rows))
+    board.measured()
+    starts = board.root / "starts.csv"
+    assert board.command("starts", "--out", str(starts)) == 0
+    assert board.command("score", str(starts), "--name", "foreign") == 0
+    text = table(board, capsys)
+    runs = {line.split(" | ")[0][2:]: line.split(" | ") for line in text.splitlines() if line.startswith("| foreign")}
+    assert {name: words[2 if " from " in name else 1] for name, words in runs.items()} == {
+        "foreign, single frames from 1deg 0.05m": "20",
+        "foreign, 2 frames from 1deg 0.05m": "10",
+        "foreign, jointly from 1deg 0.05m": "5",
+        "foreign, single frames from 2deg 0.1m": "20",
+        "foreign": "20",
+    }
 
 
 def test_marked_parts_are_replaced_and_nothing_else(board: Board, capsys: pytest.CaptureFixture[str]) -> None:

@@ -164,8 +164,8 @@ def test_rotations_and_translations_are_compared_each_with_its_own_bounds() -> N
     figures = Statistics([run(), run(0.5, 0.2), run(0.199, 0.059)])
     assert [figures.coverage.within[name.removeprefix("predicted_")] for name in BOUNDS] == [1, 2, 2, 2]
     assert figures.coverage.count == 3
-    assert figures.outside_95 == 1
-    assert Statistics([run(0.5, 0.2, trust=Trust.DOUBTFUL)]).outside_95 == 0
+    assert figures.outside_95.runs == 1
+    assert Statistics([run(0.5, 0.2, trust=Trust.DOUBTFUL)]).outside_95.runs == 0
 
 
 def test_a_row_without_a_bound_or_a_truth_is_not_counted_and_an_infinite_bound_covers() -> None:
@@ -173,23 +173,46 @@ def test_a_row_without_a_bound_or_a_truth_is_not_counted_and_an_infinite_bound_c
     assert (Statistics(rows).coverage.count, Statistics([]).coverage.count) == (0, 0)
     boundless = run(3.0, figures={**BOUNDS, "predicted_rotation_deg": math.inf, "predicted_rotation_deg_95": math.inf})
     assert Statistics([boundless]).coverage.within["rotation_deg"] == 1
-    assert Statistics([boundless]).outside_95 == 0
+    assert Statistics([boundless]).outside_95.runs == 0
 
 
 def test_a_false_accept_is_a_trusted_result_with_a_large_error_in_either() -> None:
     turned, shifted, right = run(1.01), run(0.1, 0.31), run(0.99, 0.29)
     doubted = replace(turned, trust=Trust.DOUBTFUL)
     rows = [run(), turned, shifted, doubted, right, replace(turned, trust=None)]
-    assert Statistics(rows).false_accepts == 2
+    assert Statistics(rows).false_accepts.runs == 2
     assert [is_wrong(row) for row in rows] == [False, True, True, True, False, True]
+
+
+def test_limits_are_over_distinct_frames_and_exact() -> None:
+    """Five initial guesses of one frame are one trial; with k of n the limit is a quantile of the beta distribution."""
+    from scipy.stats import beta
+
+    rows = [run(frame=f"f{i}", seed=seed) for i in range(20) for seed in range(5)]
+    none = Statistics(rows).false_accepts
+    assert (none.runs, none.frames, none.out_of) == (0, 0, 20)
+    assert none.limit == pytest.approx(beta.ppf(0.95, 1, 20))
+    assert str(none) == "0 (< 14 %)"
+    wrong = [run(1.5, frame="f3", seed=seed) for seed in (5, 6)]
+    assert str(Statistics([*rows, *wrong]).false_accepts) == "2 (1 of 20)"
+    assert str(Statistics([run(trust=Trust.DOUBTFUL)]).outside_95) == "0"
+
+
+def test_the_error_per_axis_is_the_mean_size_over_three_axes() -> None:
+    figures = Statistics([run(0.6, 0.2), run(0.3, 0.1, frame="g")])
+    axes = [figures.errors(axis) for axis in ("roll_deg", "pitch_deg", "yaw_deg")]
+    assert figures.average("axis_deg") == pytest.approx(np.mean(axes))
+    assert figures.average("axis_deg") < figures.average("rotation_deg")
+    shifts = [figures.errors(axis) for axis in ("x_m", "y_m", "z_m")]
+    assert figures.average("axis_m") == pytest.approx(np.mean(shifts))
 
 
 def test_the_terminal_table_states_verdicts_and_coverage_by_row_and_of_all_rows_below() -> None:
     text = terminal_text(summarised(STUDY, [run(), run(1.5, frame="w", row="b")]))
     head, a, b, *below = text.splitlines()
     for title, cells in (
-        ("false accepts", "01"),
-        ("outside 95 %", "01"),
+        ("false accepts", ("0 (< 95 %)", "1 (1 of 1)")),
+        ("outside 95 %", ("0 (< 95 %)", "1 (1 of 1)")),
         ("coverage 67 %", ("0/1 1/1",) * 2),
         ("coverage 95 %", ("1/1 1/1", "0/1 1/1")),
     ):
@@ -198,7 +221,8 @@ def test_the_terminal_table_states_verdicts_and_coverage_by_row_and_of_all_rows_
     assert below == [
         "Coverage of the predicted errors of 2 runs: 0 % of rotations and 100 % of translations (67 % expected), "
         "50 % of rotations and 100 % of translations (95 % expected)",
-        "Trusted: 2 runs, 1 of them with an error above 1 deg or 30 cm, 1 outside their own 95 % bound",
+        "Trusted: 2 runs, 1 (1 of 2) of them with an error above 1 deg or 30 cm, 1 (1 of 2) outside their own 95 % "
+        "bound (in brackets: distinct frames)",
     ]
 
 

@@ -27,6 +27,8 @@ from pydantic_core import PydanticCustomError
 NORMS = ("rotation_deg", "translation_m")
 METRICS = (*NORMS, *AXES)
 """The parts of the error of an estimate against the ground truth; those of the axes are signed."""
+PER_AXIS = {f"axis{unit}": tuple(axis for axis in AXES if axis.endswith(unit)) for unit in ("_deg", "_m")}
+"""Means over three axes of the absolute error, and their axes: what a mean absolute error by axis states."""
 GIVEN = "as given"
 """Protocol of a row whose initial guess is that of the data."""
 UNREADABLE = "unreadable"

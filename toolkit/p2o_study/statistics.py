@@ -20,7 +20,7 @@ from p2o.arrays import Float, Int, UInt8
 from p2o.geometry.perturb import Perturbation
 from p2o.results.verdict import Trust
 
-from p2o_study.row import METRICS, NORMS, Row
+from p2o_study.row import METRICS, NORMS, PER_AXIS, Row
 
 RESAMPLES = 2000
 SHARE = 0.95
@@ -95,6 +95,10 @@ def _statistics(ordered: Float, frame: Int, draws: UInt8, statistic: Statistic) 
 WRONG = Perturbation(angle_deg=1.0, distance_m=0.3)
 """A trusted result with a larger rotation or translation error is a false accept."""
 WRONG_TEXT = f"with an error above {WRONG.angle_deg:g} deg or {100 * WRONG.distance_m:g} cm"
+FRAMES_TEXT = (
+    "in brackets distinct frames with such a result of those with a trusted one, for none the upper 95 % limit"
+)
+"""How to read a `Share`."""
 BOUNDS = tuple(f"{norm}{suffix}" for suffix in ("", "_95") for norm in NORMS)
 """The predicted errors of a result: rotation and translation, 67 % and 95 %."""
 NOT_RUN = "not run"
@@ -146,6 +150,12 @@ def is_covered(row: Row) -> dict[str, bool]:
     return {name: error <= bound for name, error, bound in pairs if error is not None and bound is not None}
 
 
+def is_outside_95(row: Row) -> bool:
+    """Return whether the rotation or translation error of a result exceeds its own 95 % bound."""
+    covered = is_covered(row)
+    return not all(covered.get(name, True) for name in BOUNDS[2:])
+
+
 @dataclass(frozen=True)
 class Coverage:
     """The coverage of predicted errors over `count` results with predicted and known errors.
@@ -155,6 +165,31 @@ class Coverage:
 
     count: int
     within: Mapping[str, int]
+
+
+@dataclass(frozen=True)
+class Share:
+    """Trusted results of one kind: `runs` of them, of `frames` distinct frames or groups of frames, `out_of` so many.
+
+    Several initial guesses of one frame are no independent trials: limits are over distinct frames.
+    """
+
+    runs: int
+    frames: int
+    out_of: int
+
+    @property
+    def limit(self) -> float:
+        """The upper 95 % limit of the share of frames if no frame has such a result, exact (Clopper, Pearson 1934)."""
+        return float(1 - (1 - SHARE) ** (1 / self.out_of)) if self.out_of else 1.0
+
+    def __str__(self) -> str:
+        """Return "0 (< 4 %)", or with such results "6 (4 of 20)": runs, and frames of those with a trusted result."""
+        if not self.out_of:
+            return str(self.runs)
+        return (
+            f"{self.runs} ({self.frames} of {self.out_of})" if self.runs else f"0 (< {math.ceil(100 * self.limit)} %)"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,16 +265,25 @@ class Statistics:
         """Number of trusted results."""
         return self.trust.get(Trust.TRUSTED, 0)
 
-    @cached_property
-    def false_accepts(self) -> int:
-        """Number of trusted results with an error above `WRONG`."""
-        return sum(is_wrong(row) for row in self.rows if row.trust is Trust.TRUSTED)
+    @property
+    def title(self) -> str:
+        """The label, with the number of results that are the initial guess if there are any."""
+        return f"{self.label} ({self.unmoved} of {self.count} not moved)" if self.unmoved else self.label
 
     @cached_property
-    def outside_95(self) -> int:
-        """Number of trusted results whose rotation or translation error exceeds their own 95 % bound."""
-        covered = (is_covered(row) for row in self.rows if row.trust is Trust.TRUSTED)
-        return sum(not all(known.get(name, True) for name in BOUNDS[2:]) for known in covered)
+    def false_accepts(self) -> Share:
+        """The trusted results with an error above `WRONG`."""
+        return self._accepted(is_wrong)
+
+    @cached_property
+    def outside_95(self) -> Share:
+        """The trusted results whose rotation or translation error exceeds their own 95 % bound."""
+        return self._accepted(is_outside_95, lambda row: bool(is_covered(row)))
+
+    def _accepted(self, test: Callable[[Row], bool], known: Callable[[Row], bool] = lambda row: True) -> Share:
+        trusted = [row for row in self.rows if row.trust is Trust.TRUSTED and row.error is not None and known(row)]
+        wrong = [row for row in trusted if test(row)]
+        return Share(len(wrong), len(set(map(by_frames, wrong))), len(set(map(by_frames, trusted))))
 
     @cached_property
     def unmoved(self) -> int:
@@ -286,7 +330,9 @@ class Statistics:
         return np.abs(self.signed(metric))
 
     def signed(self, metric: str) -> Float:
-        """Return the known errors (K,) in one of `METRICS`, signed by axis."""
+        """Return the known errors (K,) in one of `METRICS`, signed by axis, or the mean sizes of one of `PER_AXIS`."""
+        if metric in PER_AXIS:
+            return np.asarray(np.mean([self.errors(axis) for axis in PER_AXIS[metric]], axis=0))
         return np.asarray(self._errors[0][:, METRICS.index(metric)])
 
     def mean(self, metric: str) -> Interval | None:
@@ -349,7 +395,7 @@ def pooled(rows: Sequence[Row]) -> list[str]:
             f"Coverage of the predicted errors of {coverage.count} runs: {text.format(*shares)} (95 % expected)"
         )
     if figures.trusted:
-        outside = f"{figures.outside_95} outside their own 95 % bound"
+        outside = f"{figures.outside_95} outside their own 95 % bound (in brackets: distinct frames)"
         lines.append(f"Trusted: {figures.trusted} runs, {figures.false_accepts} of them {WRONG_TEXT}, {outside}")
     return lines
 
@@ -391,7 +437,7 @@ def compared(row: Statistics, against: Statistics) -> Comparison | None:
         median = interval(steps, groups, "median")
         if median is not None:
             differences[norm] = Difference(median, float((steps < 0).mean()), float((steps == 0).mean()))
-    return Comparison(row.label, against.label, len(pairs), differences, row.protocols != against.protocols)
+    return Comparison(row.title, against.title, len(pairs), differences, row.protocols != against.protocols)
 
 
 def top_groups(intervals: Sequence[Interval | None]) -> list[int | None]:

@@ -10,18 +10,20 @@ from operator import methodcaller
 from typing import Any, Literal
 
 import numpy as np
-from p2o.errors import printable
+from p2o.errors import UnknownNameError, printable
 from p2o.page.page import TRUST_LOOKS, Column, brief, cell, interval
 from p2o.results.verdict import Trust
 from p2o.run.protocol import figures_text, protocol_of
 
-from p2o_study.row import GIVEN, METRICS, NORMS, Row
+from p2o_study.row import GIVEN, METRICS, NORMS, PER_AXIS, Row
 from p2o_study.statistics import (
+    FRAMES_TEXT,
     MIN_FRAMES,
     RESAMPLES,
     WRONG_TEXT,
     Comparison,
     Interval,
+    Share,
     Statistic,
     Statistics,
     brief_seconds,
@@ -33,7 +35,14 @@ DIGITS = 3
 """Decimals of degrees and metres; centimetres have two less."""
 NONE = "-"
 STATISTICS: tuple[Statistic, ...] = ("mean", "median")
-_NAME = {"rotation_deg": "rotation", "translation_m": "translation"}
+_NAME = {
+    "rotation_deg": "rotation",
+    "translation_m": "translation",
+    "axis_deg": "rotation per axis",
+    "axis_m": "translation per axis",
+}
+_PRINTED = dict(zip(PER_AXIS, NORMS, strict=True))
+"""Published figures that are shown as means over axes, too: publications do not always state which they are."""
 
 NOTES = (
     "Errors are those of single runs (docs/conventions.md); errors by axis are absolute. A refused run counts with the "
@@ -46,8 +55,9 @@ NOTES = (
     "sweep do not agree at the pose, or no independent check was possible. Refused: there is no new pose.",
     "Predicted 67 %: the median of the predicted errors (67 %), estimated without ground truth.",
     f"False accepts: trusted runs {WRONG_TEXT}. Outside 95 %: trusted runs whose error exceeds their own 95 % bound. "
-    "Coverage 67 % and 95 %: rotation errors and then translation errors within the predicted error, out of the solved "
-    "runs with a prediction. Not moved: results that are the initial guess, which the solver did not move.",
+    f"Of both, {FRAMES_TEXT}. Coverage 67 % and 95 %: rotation errors and then translation errors within the predicted "
+    "error, out of the solved runs with a prediction. Not moved: results that are the initial guess.",
+    "Per axis: the mean over the three axes of the absolute errors by axis.",
     "Time is the median over the runs of a row, including extraction, on the machine and under the load of the study.",
     "Pairs are runs on the same frames and seed; negative differences are in favour of the first row.",
 )
@@ -127,6 +137,14 @@ def _not_solved(row: Statistics) -> Any:
     return cell(count + row.waiting, f"{count}{crashed}{waiting}", statuses or None)
 
 
+def _accepted(name: str, of: Callable[[Statistics], Share]) -> Figure:
+    def share(row: Statistics) -> Any:
+        known = of(row)
+        return cell(known.runs, str(known)) if row.judged else None
+
+    return _figure_column(name, share, _judged)
+
+
 def _coverage(suffix: str) -> Figure:
     def covered(row: Statistics) -> Any:
         within, count = row.coverage.within, row.coverage.count
@@ -149,8 +167,8 @@ FIGURES: tuple[Figure, ...] = (
     _figure_column("groups", lambda row: row.groups, hide=5),
     _figure_column("not solved", _not_solved, lambda row: bool(row.failures)),
     *map(_verdict, (Trust.TRUSTED, Trust.AMBIGUOUS, Trust.DOUBTFUL)),
-    _figure_column("false accepts", lambda row: row.false_accepts if row.judged else None, _judged),
-    _figure_column("outside 95 %", lambda row: row.outside_95 if row.judged else None, _judged),
+    _accepted("false accepts", lambda row: row.false_accepts),
+    _accepted("outside 95 %", lambda row: row.outside_95),
     _figure_column("not moved", lambda row: row.unmoved, lambda row: bool(row.unmoved), 5),
     _figure_column("predicted 67 %", _predicted, lambda row: bool(row.predicted), 4),
     _coverage(""),
@@ -169,44 +187,78 @@ def figures_of(rows: Iterable[Statistics], without: Collection[str] = ()) -> lis
     return [figure for figure in FIGURES if figure.name not in without and any(map(figure.shown, rows))]
 
 
-def error_table(
-    caption: str,
-    rows: Sequence[Statistics | Published],
+@dataclass(frozen=True)
+class Entry:
+    """A column of a table of errors: heading, cell of a measured row (given its rivals), cell of a published one."""
+
+    header: str
+    measured: Callable[[Statistics, Sequence[Statistics]], Cell]
+    published: Callable[[Published], Cell] = lambda row: Cell(NONE)
+
+
+def _of_figure(figure: Figure) -> Entry:
+    return Entry(figure.name, lambda row, leaders: Cell(text_of(figure.column, row)))
+
+
+def _of_metric(metric: str, statistic: Statistic) -> Entry:
+    published = partial(_published, metric=metric) if statistic == "mean" else lambda row: Cell(NONE)
+    header = f"{name_of(metric)} {statistic} [{unit_of(metric)[0]}]"
+    return Entry(header, lambda row, leaders: _error(row, leaders, metric, statistic), published)
+
+
+def _of_solved(norm: str) -> Entry:
+    return Entry("solved only", lambda row, leaders: Cell(shown(row.solved_only.mean(norm), norm)))
+
+
+def entries_of(names: Iterable[str], where: str) -> list[Entry]:
+    """Return columns by their names, with or without the unit in brackets; raises UnknownNameError, with `where`."""
+    entries = []
+    for name in names:
+        word = name.strip()
+        plain = word if word in ENTRIES else word.partition(" [")[0]
+        if plain not in ENTRIES:
+            raise UnknownNameError("column", word, ENTRIES, where=where)
+        entries.append(ENTRIES[plain])
+    return entries
+
+
+def entries_by_default(
+    rows: Iterable[Statistics],
     norms: Sequence[str] = NORMS,
     *,
     figures: Sequence[Figure] | None = None,
     solved_only: bool = False,
-    comparable: bool = True,
-) -> Table:
-    """Return the table of the errors of rows: `figures` (default: `figures_of`), then mean and median of each norm.
+) -> list[Entry]:
+    """Return the columns of rows: `figures` (default: `figures_of`), then mean and median of each norm.
 
-    With `solved_only` there is also the mean without refused calibrations, where any was refused. The best figures of
-    `comparable` rows are bold.
+    With `solved_only` there is also the mean without refused calibrations, where any was refused.
     """
-    measured = [row for row in rows if isinstance(row, Statistics)]
-    figures = figures_of(measured) if figures is None else figures
-    leaders = measured if comparable else ()
-    apart = solved_only and any(row.count > row.solved for row in measured)
-    header = [figure.name for figure in figures]
+    rows = list(rows)
+    apart = solved_only and any(row.count > row.solved for row in rows)
+    entries = list(map(_of_figure, figures_of(rows) if figures is None else figures))
     for norm in norms:
-        unit = unit_of(norm)[0]
-        header += [f"{name_of(norm)} mean [{unit}]", f"{name_of(norm)} median [{unit}]"]
-        header += ["solved only"] if apart else []
+        entries += [*(_of_metric(norm, one) for one in STATISTICS), *([_of_solved(norm)] if apart else [])]
+    return entries
+
+
+def error_table(
+    caption: str, rows: Sequence[Statistics | Published], entries: Sequence[Entry], *, comparable: bool = True
+) -> Table:
+    """Return the table of rows with these columns; the best figures of `comparable` rows are bold.
+
+    Published rows without a value in any of the columns are left out.
+    """
+    leaders = [row for row in rows if isinstance(row, Statistics)] if comparable else ()
     lines = []
     for row in rows:
         if isinstance(row, Published):
-            if any(norm in row.values for norm in norms):
-                cells = [Cell(NONE)] * len(figures)
-                for norm in norms:
-                    cells += [_published(row, norm), *[Cell(NONE)] * (1 + apart)]
-                lines.append((label_cell(row), *cells))
-            continue
-        cells = [Cell(text_of(figure.column, row)) for figure in figures]
-        for norm in norms:
-            cells += [_error(row, leaders, norm, statistic) for statistic in STATISTICS]
-            cells += [Cell(shown(row.solved_only.mean(norm), norm))] if apart else []
+            cells = [entry.published(row) for entry in entries]
+            if all(one.text == NONE for one in cells):
+                continue
+        else:
+            cells = [entry.measured(row, leaders) for entry in entries]
         lines.append((label_cell(row), *cells))
-    return Table(caption, ("row", *header), tuple(lines))
+    return Table(caption, ("row", *(entry.header for entry in entries)), tuple(lines))
 
 
 def axis_table(caption: str, group: Group, axes: Sequence[str]) -> Table:
@@ -218,7 +270,7 @@ def axis_table(caption: str, group: Group, axes: Sequence[str]) -> Table:
             if any(axis in row.values for axis in axes):
                 lines.append((label_cell(row), Cell("mean"), *(_published(row, axis) for axis in axes)))
             continue
-        for statistic, label in zip(STATISTICS, (label_cell(row), Cell("")), strict=True):
+        for statistic, label in zip(STATISTICS, (Cell(row.title), Cell("")), strict=True):
             lines.append((label, Cell(statistic), *(_error(row, group.measured, axis, statistic) for axis in axes)))
     return Table(f"{caption}{_reached(group, axes)}", header, tuple(lines))
 
@@ -267,13 +319,18 @@ def _better(pair: Comparison, norm: str) -> Any:
     return cell(brief(known.better), f"{100 * known.better:.0f} %{tied}")
 
 
-def tables_of(group: Group, summary: Summary) -> list[Table]:
-    """Return the tables of a group: errors, errors by axis, and paired comparisons of rows if there are several."""
+def tables_of(group: Group, summary: Summary, columns: Sequence[str] = ()) -> list[Table]:
+    """Return the tables of a group: errors, errors by axis, and paired comparisons of rows if there are several.
+
+    With names of `columns` only the table of errors, with these columns.
+    """
     named = f": {group.heading}" if group.heading else ""
     limits = f" (within: error at most {summary.within}; worse: larger error than the initial guess)"
     caption = f"Errors{named}{limits if summary.within else ''}"
+    if columns:
+        return [error_table(caption, group.rows, entries_of(columns, "--columns"))]
     tables = [
-        error_table(caption, group.rows, summary.norms),
+        error_table(caption, group.rows, entries_by_default(group.measured, summary.norms)),
         axis_table(f"Absolute errors by axis{named}", group, summary.axes),
     ]
     pairs = group.comparisons
@@ -281,14 +338,15 @@ def tables_of(group: Group, summary: Summary) -> list[Table]:
     return [*tables, *([table_of(caption, pair_columns(summary.norms), pairs)] if pairs else ())]
 
 
-def terminal_text(summary: Summary) -> str:
-    """Return the tables of a study as text, with the lines on all rows below."""
+def terminal_text(summary: Summary, columns: Sequence[str] = ()) -> str:
+    """Return the tables of a study as text, with the lines on all rows below; `columns` names those of the errors."""
     statistics = [row for group in summary.groups for row in group.measured]
     figures = figures_of(statistics, _TERMINAL)  # of the whole study
+    entries = entries_of(columns, "--columns") or entries_by_default(statistics, summary.norms, figures=figures)
     errors: list[list[str]] = []
     by_axis: list[list[str]] = []
     for group in summary.groups:
-        of_group = error_table(group.heading, group.rows, summary.norms, figures=figures)
+        of_group = error_table(group.heading, group.rows, entries)
         for table, out in ((of_group, errors), (axis_table(group.heading, group, summary.axes), by_axis)):
             out += [] if out else [["", *table.header[1:]]]
             out += [[f"[{group.heading}]"]] if group.heading else []
@@ -365,13 +423,22 @@ def label_cell(row: Statistics | Published) -> Cell:
 
 
 def _published(row: Published, metric: str) -> Cell:
-    return Cell(shown(Interval(row.values[metric]), metric), "italic") if metric in row.values else Cell(NONE)
+    value = row.values.get(metric, row.values.get(_PRINTED.get(metric, "")))
+    return Cell(NONE) if value is None else Cell(shown(Interval(value), metric), "italic")
 
 
 def _error(row: Statistics, rows: Sequence[Statistics], metric: str, statistic: Statistic) -> Cell:
     value = getattr(row, statistic)(metric)
     plain = Interval(value.value) if value is not None and statistic == "median" else value
     return Cell(shown(plain, metric), "bold" if leads(row, rows, metric, statistic) else "")
+
+
+ENTRIES: Mapping[str, Entry] = {
+    **{figure.name: _of_figure(figure) for figure in FIGURES},
+    **{f"{name_of(m)} {one}": _of_metric(m, one) for m in (*METRICS, *PER_AXIS) for one in STATISTICS},
+    **{f"{name_of(norm)} solved only": _of_solved(norm) for norm in NORMS},
+}
+"""Every column of tables of errors by its name, without the unit."""
 
 
 def _reached(group: Group, metrics: Sequence[str]) -> str:
@@ -415,25 +482,32 @@ def latex_table(table: Table, title: str) -> str:
     )
 
 
-def report_markdown(summaries: Sequence[Summary], figures: Callable[[Summary], Sequence[tuple[str, str]]]) -> str:
-    """Return the report as Markdown; `figures` gives (title, file name) of the figures of a study."""
+def report_markdown(
+    summaries: Sequence[Summary],
+    figures: Callable[[Summary], Sequence[tuple[str, str]]],
+    columns: Sequence[str] = (),
+) -> str:
+    """Return the report as Markdown; `figures` gives (title, file name) of the figures of a study.
+
+    With names of `columns` its tables are those of errors, with these columns.
+    """
     parts = ["# Report\n"]
     for summary in summaries:
         parts += [f"## {md_text(summary.title)}\n", *([f"{md_text(summary.note)}\n"] if summary.note else [])]
-        for table in (table for group in summary.groups for table in tables_of(group, summary)):
+        for table in (table for group in summary.groups for table in tables_of(group, summary, columns)):
             parts += [f"**{md_text(table.caption)}**\n", markdown_table(table)]
         parts += [f"{md_text(line)}\n" for line in summary.pooled]
         parts += [f"![{md_text(title)}]({file})\n" for title, file in figures(summary)]
     return "\n".join([*parts, "## How to read it\n", *(f"{note}\n" for note in NOTES)])
 
 
-def report_latex(summaries: Sequence[Summary]) -> str:
-    """Return the tables of the report as LaTeX."""
+def report_latex(summaries: Sequence[Summary], columns: Sequence[str] = ()) -> str:
+    """Return the tables of the report as LaTeX, with names of `columns` only those of errors, with these columns."""
     parts = ["% \\usepackage{booktabs,graphicx}\n"]
     for summary in summaries:
         parts.append(f"\n% {_one_line(summary.name)}\n")
         for group in summary.groups:
-            parts += [latex_table(table, summary.title) for table in tables_of(group, summary)]
+            parts += [latex_table(table, summary.title) for table in tables_of(group, summary, columns)]
     return "".join(parts)
 
 

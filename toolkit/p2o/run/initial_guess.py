@@ -97,8 +97,9 @@ def start_of(
         size = parse_starts(recipe.perturb)
         if isinstance(size, StartList):
             return size.start(truth, listed[index]), ()
-        # Seeded by the frame's own number, so that its initial guess does not depend on the other frames of the run.
-        rng = np.random.default_rng([recipe.seed] if recipe.joint else [recipe.seed, index])
+        # Seeded by the number of the (first) frame in the data: the guess does not depend on the other frames of the
+        # run, and a joint calibration has the one of the same group of frames in a study.
+        rng = np.random.default_rng([recipe.seed, index])
         return size.start(truth, rng, recipe.seed), ()
     offered = common_pose(frames, "start")
     if offered is not None:

@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from itertools import groupby, takewhile
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +23,11 @@ from p2o.run.fit import FRAME_CONTENT
 from p2o.run.recipe import Recipe
 from p2o.run.words import split_data
 
+from p2o_study.benchmark.lines import read_lines
 from p2o_study.benchmark.suite import Suite
 from p2o_study.benchmark.tables import NOTE
 from p2o_study.compare import family_of
+from p2o_study.curves import method_names, start_error_of
 from p2o_study.report.overlays import drawn_run
 from p2o_study.row import NORMS, Method, Row
 from p2o_study.rows import Rows
@@ -112,8 +114,7 @@ def _solved(line: _Line, norm: str) -> Any:
 
 
 def _start(line: _Line, norm: str) -> float | None:
-    values = [value for row in line.rows if (value := row.start_error_of(norm)) is not None]
-    return brief(float(np.mean(values))) if values else None
+    return brief(start_error_of(line.summary, norm))
 
 
 # ---- overlays
@@ -231,19 +232,6 @@ class _Line:
         """What rows have in common that are compared."""
         return self.suite.name, self.dataset, self.protocol, self.frames[1]
 
-    @cached_property
-    def same_method(self) -> str:
-        """Equal for two rows of one method, whatever their initial error and number of frames."""
-        if self.method.external:
-            return f"external {self.label}"
-        options = {
-            stage: {name: value for name, value in values.items() if name != "seed"}
-            if isinstance(values, Mapping)
-            else values
-            for stage, values in self.method.options.items()
-        }
-        return json.dumps([self.method.words, options], sort_keys=True)
-
 
 def write_page(
     suites: Sequence[Suite],
@@ -280,7 +268,7 @@ def write_page(
                 known = own.get(line.dataset, {})
                 sensors = ", ".join(sorted({card["sensor"] for card in known.values() if card.get("sensor")}))
                 line.data_title = f"{line.dataset} ({sensors})" if sensors else line.dataset
-                key = line.same_method
+                key = json.dumps([line.method.external, line.method.words], sort_keys=True)
                 if key not in known_methods:
                     known_methods[key] = _family_and_needs(line.method, registry)
                 line.family, line.needs = known_methods[key]
@@ -412,18 +400,14 @@ def _error_size(row: Row) -> float:
 
 def _compared(suite: Suite, results: Rows) -> list[list[_Line]]:
     """Return the rows of a suite, one list for all that are compared with each other."""
-    order = {row.label: number for number, row in enumerate(suite.all_rows())}
-    rows: dict[tuple[str, str, str, str], list[Row]] = {}
-    for row in results.latest(suite.name):
-        rows.setdefault((row.section, row.row, row.dataset, row.protocol), []).append(row)
-    group_of = suite.group_of
-    lines = [_Line(suite, Statistics(own, label, group_of)) for (_, label, _, _), own in rows.items()]
-    labels: dict[str, list[str]] = {}
-    for line in lines:
-        labels.setdefault(line.same_method, []).append(line.label)
-    for line in lines:
-        line.name = common_name(labels[line.same_method])
-    lines.sort(key=lambda line: (line.comparable, order.get(line.label, len(order)), line.label))
+    known = [
+        replace(line, rows=own, label=line.label if own[0].method.external else own[0].row)
+        for line in read_lines(suite, results, only_asked=False).values()
+        for protocol in line.protocols
+        for own in [[row for row in line.rows if row.protocol == protocol]]
+    ]
+    lines = [_Line(suite, line, name) for line, name in zip(known, method_names(known), strict=True)]
+    lines.sort(key=lambda line: line.comparable)
     return [list(some) for _, some in groupby(lines, key=lambda line: line.comparable)]
 
 
@@ -437,16 +421,3 @@ def _family_and_needs(method: Method, registry: Registry) -> tuple[str, list[str
         return UNKNOWN, []
     needs = {word for stage, part in plan.parts.items() if stage in KIND_OF for word in part.offer.method.needs}
     return family_of(plan), sorted(needs & FRAME_CONTENT.keys())
-
-
-def common_name(labels: Sequence[str]) -> str:
-    """Return the common beginning of labels in whole words: "ours" of "ours from 1deg" and "ours from 2deg"."""
-    if len(set(labels)) == 1:
-        return labels[0]
-    words = [[word.rstrip(",") for word in label.split(" ")] for label in labels]
-    # All labels contain what the first and the last one in alphabetical order have in common.
-    pairs = zip(min(words), max(words), strict=False)
-    common = [first for first, _ in takewhile(lambda pair: pair[0] == pair[1], pairs)]
-    while common and common[-1] in ("", "from", "on", "@"):
-        common = common[:-1]
-    return " ".join(labels[0].split(" ")[: len(common)]).rstrip(",") or labels[0]

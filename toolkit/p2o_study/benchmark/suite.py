@@ -33,6 +33,8 @@ _INIT_WITH_PRIOR = "search"
 class Suite(Study):
     """The content of a suite file, completed by its study; `file` is its path.
 
+    Published figures of the study stay where they compare with a row of the suite.
+
     `study` is the name of a study, or a path relative to the suite file. `protocol` replaces that of the study: the
     name of a publication's protocol, or a size such as "2deg 0.15m". `groups` are the units of the bootstrap:
     "frames" (each frame or joint group of frames) or "drive" (all frames whose names differ after the last "/").
@@ -64,7 +66,10 @@ class Suite(Study):
         if self.protocol:
             named = self.protocol in PROTOCOLS
             changes |= {"protocol": self.protocol if named else None, "perturb": None if named else self.protocol}
-        return self.model_copy(update=changes)
+        suite = self.model_copy(update=changes)
+        labels = [row.label for row in suite.all_rows()] if study.published else []
+        compared = (one for one in study.published if any(map(one.compares_with, labels)))
+        return suite.model_copy(update={"published": (*self.published, *compared)})
 
     def all_rows(self) -> list[StudyRow]:
         """Return the rows on all datasets, also on those without a path."""

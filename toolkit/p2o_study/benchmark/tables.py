@@ -2,50 +2,70 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 from p2o.errors import UnknownNameError
+from p2o.geometry.perturb import Perturbation
 
+from p2o_study.benchmark.lines import Key, key_of, read_lines
 from p2o_study.benchmark.marks import Writer
 from p2o_study.benchmark.suite import Suite
-from p2o_study.row import GIVEN, Row
+from p2o_study.curves import curves, frames_of
+from p2o_study.row import GIVEN, NORMS
 from p2o_study.rows import Rows
-from p2o_study.statistics import MIN_FRAMES, WRONG_TEXT, Statistics
-from p2o_study.tables import error_table, figures_of, markdown_table, md_text
+from p2o_study.statistics import FRAMES_TEXT, MIN_FRAMES, WRONG_TEXT, Statistics
+from p2o_study.study import Published, limits_of
+from p2o_study.tables import (
+    NONE,
+    Cell,
+    Entry,
+    Table,
+    entries_by_default,
+    entries_of,
+    error_table,
+    figures_of,
+    markdown_table,
+    md_text,
+    with_unit,
+)
 
-_WORDS = {"data": None, "methods": None, "columns": ("all", "brief"), "sections": ("apart", "together")}
-"""Words of a mark and their values, None for names of the suite."""
+_WORDS: Mapping[str, tuple[str, ...] | None] = {
+    "data": None,
+    "methods": None,
+    "columns": None,
+    "sections": ("apart", "together"),
+    "pooled": ("below", "only"),
+    "over": ("frames",),
+    "target": None,
+    "reference": None,
+}
+"""Words of a mark and their values, None for names and sizes."""
+_LISTS = ("data", "methods", "columns")
 _BRIEF = {"coverage 67 %", "coverage 95 %", "predicted 67 %"}
 """Columns that brief tables leave out."""
-
-
-class Key(NamedTuple):
-    """Names of a row of a table; `label` is without "@ DATA SET"."""
-
-    section: str
-    label: str
-    dataset: str
-
-
-def _key(section: str, label: str, dataset: str) -> Key:
-    return Key(section, label.removesuffix(f" @ {dataset}"), dataset)
 
 
 @dataclass(frozen=True)
 class Choice:
     """What a page takes of a suite: one section (None: all), and some of the data sets and labels (empty: all).
 
-    `columns` are all, or of a brief table without "solved only" and coverage. The rows of all sections are in one table
-    with `sections` "together".
+    `columns` are "all", or "brief" without "solved only" and coverage, or names of columns. The rows of all sections
+    are in one table with `sections` "together". `pooled` adds a line over all data sets, or shows nothing else.
+    `over` "frames" gives mean errors by method and number of frames, which methods differ by less than the accuracy of
+    the `reference` ("0.1deg 0.01m"), and how many frames each needs for errors of `target`.
     """
 
     section: str | None = None
     data: tuple[str, ...] = ()
     methods: tuple[str, ...] = ()
-    columns: Literal["all", "brief"] = "all"
+    columns: tuple[str, ...] = ("all",)
     sections: Literal["apart", "together"] = "apart"
+    pooled: Literal["", "below", "only"] = ""
+    over: Literal["", "frames"] = ""
+    target: str = "0.1deg 0.04m"
+    reference: str = ""
 
     def has(self, key: Key) -> bool:
         """Return whether a row is among the chosen data sets and methods."""
@@ -56,8 +76,7 @@ class Choice:
 class SuiteTables:
     """The last measured rows of a suite with their errors, from which its tables are rendered; no data are read.
 
-    `lines` are the figures by section, label and data set, in the order of the suite, with those of external methods
-    last. `asked` are the rows of the suite. Labels are without "@ DATA SET".
+    `lines` are the figures by section, label and data set (`read_lines`). `asked` are the rows of the suite.
     """
 
     suite: Suite
@@ -67,20 +86,17 @@ class SuiteTables:
     @classmethod
     def read(cls, suite: Suite, results: Rows) -> SuiteTables:
         """Return the tables of a suite; rows that it does not ask for are left out."""
-        asked = [_key(row.section, row.label, row.dataset.name) for row in suite.all_rows()]
-        rows: dict[Key, list[Row]] = {key: [] for key in asked}
-        for row in results.latest(suite.name):
-            key = _key(row.section, row.row, row.dataset)
-            if row.method.external or key in rows:
-                rows.setdefault(key, []).append(row)
-        data = list(dict.fromkeys(key.dataset for key, own in rows.items() if own))
-        keys = sorted((key for key, own in rows.items() if own), key=lambda key: data.index(key.dataset))
-        return cls(suite, {key: Statistics(rows[key], key.label, suite.group_of) for key in keys}, asked)
+        lines = read_lines(suite, results)
+        data = list(dict.fromkeys(key.dataset for key in lines))
+        ordered = {key: lines[key] for key in sorted(lines, key=lambda key: data.index(key.dataset))}
+        return cls(suite, ordered, list(map(key_of, suite.all_rows())))
 
     def markdown(self, choice: Choice) -> str:
         """Return the tables in Markdown, one for each section; raises InputError for a name that the suite lacks."""
         self._check(choice)
         keys = [key for key in dict.fromkeys((*self.asked, *self.lines)) if choice.has(key)]
+        if choice.over:
+            return self._over_frames(keys, choice)
         if choice.sections == "together":
             return self._table(self.suite.name, keys, choice)
         sections = dict.fromkeys(key.section for key in keys if choice.section in (None, key.section))
@@ -116,37 +132,124 @@ class SuiteTables:
     def _shown(self, key: Key) -> str:
         return f"{key.dataset} †" if key.dataset in self._development else key.dataset
 
+    def _caption(self, name: str, keys: Collection[Key], protocols: Collection[str]) -> str:
+        """Return the caption of a table: a name, the initial error if there is one, and whether frames are marked."""
+        start = f", initial error {next(iter(protocols))}" if len(protocols) == 1 else ""
+        sets = {key.dataset for key in keys}
+        marked = self._development & sets
+        mark = "" if not marked else ", † development frames" if len(sets) > 1 else ", development frames"
+        return f"**{md_text(name or 'all rows')}{md_text(start)}{mark}**"
+
     def _table(self, caption: str, keys: Sequence[Key], choice: Choice) -> str:
         """Return the table of some rows with its caption."""
         wanted = set(keys)
         lines = {key: row for key, row in self.lines.items() if key in wanted}
         drawn = {protocol for row in lines.values() for protocol in row.protocols} - {GIVEN}
-        start = f", initial error {next(iter(drawn))}" if len(drawn) == 1 else ""
         several = len({key.dataset for key in lines}) > 1
-        marked = self._development & {key.dataset for key in lines}
-        mark = "" if not marked else ", † development frames" if several else ", development frames"
-        text = [f"**{md_text(caption or 'all rows')}{md_text(start)}{mark}**", ""]
+        text = [self._caption(caption, lines, drawn), ""]
         if lines:
-            left_out = {"within", "worse", "ambiguous", "doubtful", *(_BRIEF if choice.columns == "brief" else ())}
-            figures = figures_of(lines.values(), left_out | ({"start"} if len(drawn) < 2 else set()))
-            rows = [
-                Statistics(row.rows, f"{key.label} @ {self._shown(key)}" if several else key.label, row.group_of)
-                for key, row in lines.items()
-            ]
-            table = error_table(caption, rows, figures=figures, solved_only=choice.columns == "all", comparable=False)
-            text.append(markdown_table(table).rstrip("\n"))
+            rows: list[Statistics | Published] = []
+            for key, row in lines.items() if choice.pooled != "only" else ():
+                label = f"{key.label} @ {self._shown(key)}" if several else key.label
+                rows += [replace(row, label=label), *(p for p in self.suite.published if p.compares_with(key.label))]
+            rows += self._pooled(lines) if choice.pooled else []
+            measured = [row for row in rows if isinstance(row, Statistics)]
+            entries = self._entries(measured, choice, several_starts=len(drawn) > 1)
+            text.append(markdown_table(error_table(caption, rows, entries, comparable=False)).rstrip("\n"))
         missing = sum(key in wanted and key not in lines for key in self.asked)
         if missing:
             text += [*([""] if lines else []), f"Rows not measured: {missing}."]
         return "\n".join([*text, ""])
+
+    def _entries(self, rows: Sequence[Statistics], choice: Choice, *, several_starts: bool) -> list[Entry]:
+        """Return the columns of a table."""
+        if choice.columns not in (("all",), ("brief",)):
+            return entries_of(choice.columns, str(self.suite.file))
+        brief = choice.columns == ("brief",)
+        left_out = {"within", "worse", "ambiguous", "doubtful", *(_BRIEF if brief else ())}
+        figures = figures_of(rows, left_out if several_starts else left_out | {"start"})
+        return entries_by_default(rows, figures=figures, solved_only=not brief)
+
+    def _pooled(self, lines: Mapping[Key, Statistics]) -> list[Statistics]:
+        """Return one line over all rows where each data set occurs once, else one for each label; frames are groups."""
+        once = len({key.dataset for key in lines}) == len(lines)
+        by_label: dict[str, list[Key]] = {}
+        for key in lines:
+            by_label.setdefault("" if once else key.label, []).append(key)
+        pooled = []
+        for label, keys in by_label.items():
+            marked = sum(key.dataset in self._development for key in keys)
+            name = label or " or ".join(dict.fromkeys(key.label for key in keys))
+            development = f", {marked} of them †" if marked else ""
+            title = f"{name} @ {len(keys)} data sets{development}"
+            pooled.append(Statistics([row for key in keys for row in lines[key].rows], title))
+        return pooled
+
+    def _over_frames(self, keys: Sequence[Key], choice: Choice) -> str:
+        """Return the mean errors by method and number of frames, after a sentence on those that are tied."""
+        lines = [line for key, line in self.lines.items() if key in set(keys)]
+        methods = {name: {frames_of(line): line for line in own} for name, own in curves(lines, "frames").items()}
+        target = limits_of(choice.target, str(self.suite.file))
+        sizes = sorted({size for own in methods.values() for size in own})
+        header = ("method", *(f"{size} frame{'s' * (size > 1)}" for size in sizes), f"frames for {_size_text(target)}")
+        rows = []
+        for name, own in methods.items():
+            cells = [_means_text(own[size]) if size in own else NONE for size in sizes]
+            rows.append(tuple(map(Cell, (name, *cells, _needed(own, target)))))
+        runs = ", ".join(str(max(own[size].count for own in methods.values() if size in own)) for size in sizes)
+        drawn = {protocol for line in lines for protocol in line.protocols} - {GIVEN}
+        caption = self._caption(f"mean errors over the number of frames ({runs} runs)", keys, drawn)
+        table = markdown_table(Table(caption, header, tuple(rows))).rstrip("\n")
+        first = (
+            [_ties(methods, sizes, limits_of(choice.reference, str(self.suite.file))), ""] if choice.reference else []
+        )
+        return "\n".join([*first, caption, "", table, ""])
+
+
+def _size_text(size: Perturbation) -> str:
+    return f"{size.angle_deg:g} deg and {100 * size.distance_m:g} cm"
+
+
+def _means_text(line: Statistics) -> str:
+    texts = [with_unit(line.average(norm), norm) for norm in NORMS]
+    return ", ".join(texts) + (f" ({line.unmoved} not moved)" if line.unmoved else "")
+
+
+def _needed(lines: Mapping[int, Statistics], target: Perturbation) -> str:
+    """Return the number of frames from which on both mean errors are at most those of the target."""
+    limits = dict(zip(NORMS, (target.angle_deg, target.distance_m), strict=True))
+    needed = None
+    for size in sorted(lines, reverse=True):
+        if not all(lines[size].average(norm) <= limit for norm, limit in limits.items()):
+            break
+        needed = size
+    return f"not reached with {max(lines)}" if needed is None else str(needed)
+
+
+def _ties(methods: Mapping[str, Mapping[int, Statistics]], sizes: Sequence[int], reference: Perturbation) -> str:
+    """Return which methods have mean errors within the accuracy of the reference of the smallest ones."""
+    margins = dict(zip(NORMS, (reference.angle_deg, reference.distance_m), strict=True))
+    tied = []
+    for size in sizes:
+        lines = {name: own[size] for name, own in methods.items() if size in own}
+        least = {norm: min(line.average(norm) for line in lines.values()) for norm in NORMS}
+        names = [
+            md_text(name)
+            for name, line in lines.items()
+            if all(line.average(norm) <= least[norm] + margin for norm, margin in margins.items())
+        ]
+        tied.append(f"with {size} frame{'s' * (size > 1)} {', '.join(names) or 'none'}")
+    return f"Within the accuracy of the reference ({_size_text(reference)}) of the smallest errors: {'; '.join(tied)}."
 
 
 NOTE = (
     "Runs are calibrations, frames distinct frames, groups independent ones (frames or drives). In brackets: 95 % "
     f"interval by bootstrap over groups, none for fewer than {MIN_FRAMES}. Means and medians contain refused "
     "calibrations with the error of their initial guess; solved only: the mean without them. False accepts: trusted "
-    f"results {WRONG_TEXT}; outside 95 %: trusted results whose error exceeds their own 95 % bound. Coverage: rotation "
-    "errors, then translation errors, within the predicted ones. Methods whose intervals overlap have no order."
+    f"results {WRONG_TEXT}; outside 95 %: trusted results whose error exceeds their own 95 % bound; of both, "
+    f"{FRAMES_TEXT}. Coverage: rotation errors, then translation errors, within the predicted ones. Not moved: results "
+    "that are the initial guess. Per axis: the mean over three axes of absolute errors. Published rows are as printed "
+    "in their source. Methods whose intervals overlap have no order."
 )
 """How to read the tables."""
 
@@ -161,7 +264,7 @@ def rows_text(tables: Callable[[str], SuiteTables]) -> Writer:
             known = _WORDS[name]
             if known is not None and value not in known:
                 raise ValueError(value)
-            words[name] = tuple(value.split(", ")) if known is None else value
+            words[name] = tuple(value.split(", ")) if name in _LISTS else value
         words["methods"] = tables(suite).labels_in(words.get("methods", ()))
         return tables(suite).markdown(Choice(section or None, **words))
 

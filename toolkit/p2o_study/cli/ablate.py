@@ -39,6 +39,16 @@ def cluster_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return click.option("--backend", type=kinds, default="loky", help="Backend that runs the jobs.")(command)
 
 
+def columns_option(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add --columns, the columns of tables of errors, to a command."""
+    text = "Columns of the tables of errors, such as 'runs,outside 95 %,rotation mean' (default: those with figures)."
+
+    def parsed(_: Any, __: Any, value: str | None) -> tuple[str, ...]:
+        return () if value is None else tuple(word.strip() for word in value.split(","))
+
+    return click.option("--columns", metavar="NAMES", callback=parsed, help=text)(command)
+
+
 def data_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add --data and --root, the data of a study, to a command."""
     text = "Folder with the data; the study names the path of each dataset in it."
@@ -75,6 +85,8 @@ def data_options(command: Callable[..., Any]) -> Callable[..., Any]:
     help="Exit status 1 if a row is worse than in this reference.",
 )
 @click.option("--update", is_flag=True, help="Write the reference of --gate instead of comparing.")
+@columns_option
+@click.option("--report", is_flag=True, help="Then write tables (LaTeX, Markdown), figures and a page: `p2o report`.")
 @click.option("--list", "listed", is_flag=True, help="List the installed studies.")
 @click.option("--quiet", is_flag=True, help="No progress.")
 @plugin_options
@@ -89,6 +101,8 @@ def command(
     isolate: bool | None,
     gate: str | None,
     update: bool,
+    columns: tuple[str, ...],
+    report: bool,
     listed: bool,
     quiet: bool,
     plugin: tuple[str, ...],
@@ -101,7 +115,7 @@ def command(
 
     \b
     p2o ablate smoke
-    p2o ablate table2 --data kitti-raw:PATH --frames @splits.json#test --jobs 2
+    p2o ablate table2 --data kitti-raw:PATH --frames @splits.json#test --jobs 2 --report
     p2o ablate rigs --root DIR --frames @splits.json
     p2o ablate STUDY --gate reference.json
 
@@ -124,7 +138,9 @@ def command(
     from p2o_study.gate import read_reference
     from p2o_study.parallel import Workers
     from p2o_study.study import find_study
+    from p2o_study.tables import entries_of
 
+    entries_of(columns, "--columns")  # before any work
     shipped = find_study(study, plugins.registry())
     overridden = shipped.overridden(**data, seeds=None if seeds is None else parse_seeds(seeds))
     reference = read_reference(gate) if gate is not None and (not update or Path(gate).exists()) else None
@@ -138,7 +154,11 @@ def command(
         at_most=at_most,
     )
     if done.rows:
-        _print_table(overridden, done.rows, done.missing)
+        _print_table(overridden, done.rows, done.missing, columns)
+    if done.rows and report:
+        from p2o_study.report import write_report
+
+        click.echo("\n".join(map(str, write_report(folder, studies=[overridden.name], columns=columns))))
     if not quiet:
         click.echo(_outcome_text(done, folder), err=True)
     if done.interrupted:
@@ -170,11 +190,11 @@ def _ablated(study: Study, folder: Path, quiet: bool, **words: Any) -> Ablation:
         raise
 
 
-def _print_table(study: Study, rows: Sequence[Row], missing: Sequence[PlanRow]) -> None:
+def _print_table(study: Study, rows: Sequence[Row], missing: Sequence[PlanRow], columns: Sequence[str] = ()) -> None:
     from p2o_study.summary import summarised
     from p2o_study.tables import terminal_text
 
-    click.echo(f"{study.title}\n{terminal_text(summarised(study, rows, missing))}")
+    click.echo(f"{study.title}\n{terminal_text(summarised(study, rows, missing), columns)}")
 
 
 def _gated(gate: str, study: Study, done: Ablation, reference: Reference | None, *, update: bool) -> int:

@@ -17,7 +17,7 @@ from p2o.cli.json_output import json_option, print_json
 from p2o.cli.plugin_options import plugin_options
 from p2o.errors import printable
 
-from p2o_study.cli.ablate import at_most_option, cluster_options, data_options, progress_shown
+from p2o_study.cli.ablate import at_most_option, cluster_options, columns_option, data_options, progress_shown
 
 if TYPE_CHECKING:
     from p2o_study.benchmark.measure import SuiteStatus
@@ -352,18 +352,39 @@ def score(bench: _Bench, poses: str, suite: str, name: str, source: str, by: str
 @command.command("table")
 @click.argument("suite")
 @click.option("--section", metavar="NAME", help="One section of the suite (default: all).")
-@_takes("results", "suites")
-def table(bench: _Bench, suite: str, section: str | None) -> int:
+@click.option("--commands", is_flag=True, help="Print the `p2o run` command that repeats one calibration of each row.")
+@click.option("--figures", metavar="DIR", help="Also write figures: error over number of frames and initial error.")
+@columns_option
+@_takes("results", "data", "suites")
+def table(
+    bench: _Bench, suite: str, section: str | None, commands: bool, figures: str | None, columns: tuple[str, ...]
+) -> int:
     """Print the tables of a suite in Markdown, from its rows; no data are needed.
 
     Means with 95 % intervals by bootstrap over independent groups, medians, refused calibrations, false accepts and
-    coverage of the predicted errors.
-    """
+    coverage of the predicted errors. With --commands, --root or --data give the paths in the commands.
+
+    \b
+    p2o benchmark table rigs
+    p2o benchmark table smoke --commands
+    """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
+    from p2o_study.benchmark.repeat import repeat_text
     from p2o_study.benchmark.tables import NOTE, Choice
 
     tables = bench.tables()(suite)
-    click.echo(tables.markdown(Choice(section)))
+    if commands:
+        rows = [row for row in bench.rows.latest(tables.suite.name) if section in (None, row.section)]
+        click.echo(repeat_text(tables.suite.all_rows(), rows))
+        return 0
+    click.echo(tables.markdown(Choice(section, columns=columns or ("all",))))
     click.echo(NOTE)
+    if figures is not None:
+        from p2o_study.report import write_figures
+        from p2o_study.report.figures import figures_over
+
+        lines = [line for key, line in tables.lines.items() if section in (None, key.section)]
+        for path in write_figures(Path(figures), figures_over(tables.suite.name, tables.suite.name, lines)):
+            click.echo(path)
     return 0
 
 

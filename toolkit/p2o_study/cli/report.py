@@ -7,6 +7,8 @@ from p2o.cli.plugin_options import load, plugin_options
 from p2o.cli.progress import status_line
 from p2o.errors import InputError
 
+from p2o_study.cli.ablate import columns_option
+
 
 @click.command("report")
 @click.argument("folder", metavar="DIR", type=click.Path())
@@ -26,11 +28,13 @@ from p2o.errors import InputError
     metavar="N",
     help="With --data: draw at most N frames of each row, the worst first.",
 )
+@columns_option
 @click.option("--quiet", is_flag=True, help="No progress.")
 @plugin_options
 def command(
     folder: str,
     studies: tuple[str, ...],
+    columns: tuple[str, ...],
     data: tuple[str, ...],
     out: str | None,
     overlays: int,
@@ -46,7 +50,7 @@ def command(
     report.html    one file that works offline: sort, filter, inspect the worst runs and single frames
     report.md      tables with intervals, and the figures
     report.tex     the tables for a paper
-    *.png *.svg    errors by axis, convergence, errors by frame
+    *.png *.svg *.pdf    errors by axis, convergence, errors by frame, over the number of frames and the initial error
     """  # noqa: D301  (click wants a real backspace: the list keeps its lines)
     from p2o.files.input_file import expanded
     from p2o.page.run_page import RUN, write_page_of_folder
@@ -69,6 +73,7 @@ def command(
             studies=studies,
             data=data,
             overlays=overlays,
+            columns=columns,
             registry=registry,
             on_progress=lambda name, done, total: show(f"drawing {done + 1} of {total}: {name}"),
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING
@@ -15,6 +15,8 @@ from p2o.host.registry import Registry
 from p2o_study.rows import Rows
 
 if TYPE_CHECKING:
+    from p2o.page.plot import Figure
+
     from p2o_study.summary import Summary
 
 Tell = Callable[[str, int, int], None]
@@ -28,6 +30,7 @@ def write_report(
     studies: Sequence[str] = (),
     data: Sequence[str] = (),
     overlays: int = 12,
+    columns: Sequence[str] = (),
     registry: Registry | None = None,
     on_progress: Tell | None = None,
 ) -> list[Path]:
@@ -35,7 +38,8 @@ def write_report(
 
     `out` is the folder to write to (default: `report` in the folder), `studies` selects studies by name (default: all),
     `data` gives the paths of their frames as DATASET:PATH or NAME=DATASET:PATH. With data, overlays of at most
-    `overlays` frames of each row are drawn, the worst first. The same store gives the same bytes.
+    `overlays` frames of each row are drawn, the worst first. With `columns` report.md and report.tex have tables of
+    errors only, with these columns (`p2o_study.tables.ENTRIES`). The same store gives the same bytes.
 
     Raises InputError if there is no store or no finished run, or `out` cannot be written; UnknownNameError for an
     unknown study or dataset; and as `p2o_study.report.overlays.draw_all`.
@@ -58,20 +62,37 @@ def write_report(
     html = page.page(summaries, images).encode()
     files: dict[str, bytes] = {}
     titles: dict[str, list[tuple[str, str]]] = {}
-    # An upper limit: groups without rounds or errors have fewer figures.
-    done, total = 0, figures.KINDS * sum(len(summary.groups) for summary in summaries)
-    for summary, names in zip(summaries, figures.figure_names(summaries), strict=True):
-        for name, title, figure in figures.figures_of(summary, names):
-            tell(title, done, total)
-            done += 1
-            titles.setdefault(summary.name, []).append((title, f"{name}.png"))
-            files |= {f"{name}.{form}": content for form, content in figure_files(drawn(figure)).items()}
-    files["report.md"] = tables.report_markdown(summaries, lambda summary: titles.get(summary.name, ())).encode()
-    files["report.tex"] = tables.report_latex(summaries).encode()
+    drawings = [
+        (summary.name, *drawing)
+        for summary, names in zip(summaries, figures.figure_names(summaries), strict=True)
+        for drawing in figures.figures_of(summary, names)
+    ]
+    for done, (study, name, title, figure) in enumerate(drawings):
+        tell(title, done, len(drawings))
+        titles.setdefault(study, []).append((title, f"{name}.png"))
+        files |= {f"{name}.{form}": content for form, content in figure_files(drawn(figure)).items()}
+    text = tables.report_markdown(summaries, lambda summary: titles.get(summary.name, ()), columns)
+    files["report.md"] = text.encode()
+    files["report.tex"] = tables.report_latex(summaries, columns).encode()
     files["report.html"] = html
     for name, content in files.items():
         write_whole(home / name, content)
     return [home / name for name in reversed(files)]
+
+
+def write_figures(folder: Path, named: Iterable[tuple[str, str, Figure]]) -> list[Path]:
+    """Write figures with (name, title, figure) as PNG, SVG and PDF to a folder, and return the files.
+
+    Raises InputError if they cannot be written.
+    """
+    from p2o.page.figure import drawn, figure_files
+
+    with write_errors("the figures", folder, "choose another folder"):
+        make_writable(folder)
+    files = {f"{name}.{form}": one for name, _, figure in named for form, one in figure_files(drawn(figure)).items()}
+    for name, content in files.items():
+        write_whole(folder / name, content)
+    return [folder / name for name in files]
 
 
 def _summaries(rows: Rows, names: Sequence[str]) -> list[Summary]:

@@ -1,4 +1,4 @@
-"""The plots of a report, for its page and as files: errors by axis, convergence, errors by frame."""
+"""The plots of studies, for pages and as files: errors by axis, convergence, errors by frame and over what varies."""
 
 from __future__ import annotations
 
@@ -12,13 +12,12 @@ from p2o.errors import printable
 from p2o.files.file_names import distinct_names
 from p2o.page.plot import Axis, Figure, Panel, Series
 
-from p2o_study.row import Row
-from p2o_study.statistics import Statistics
+from p2o_study.curves import Over, curves, frames_of, start_error_of
+from p2o_study.row import NORMS, Row
+from p2o_study.statistics import Interval, Statistics
 from p2o_study.summary import Group, Summary
 from p2o_study.tables import name_of, unit_of
 
-KINDS = 3
-"""Maximum number of figures of a group: errors by axis, convergence, errors by frame."""
 _MOST_NAMES = 80
 _MOST_ROWS = 200
 """Maximum number of rows in a figure: more are not legible, and an image has at most 65535 px."""
@@ -107,15 +106,15 @@ def boxes(group: Group, metric: str, *, log: bool, opens: Opens | None = None, r
     table that shows them, by the id of the run; with `reach` the axis is limited to this error, and its title counts
     the runs beyond.
     """
-    labels = [row.label for row in group.measured]
     values = [errors_of(row, metric) for row in group.measured]
+    labels = [f"{row.label} (n = {len(own)})" for row, own in zip(group.measured, values, strict=True)]
     shown = lifted(values) if log else values
     title = f"|{name_of(metric)}|" if log else name_of(metric)
     title = f"{title} [{unit_of(metric)[0]}]"
     series = []
-    for number, (label, errors) in enumerate(zip(labels, shown, strict=True)):
+    for number, (row, errors) in enumerate(zip(group.measured, shown, strict=True)):
         if len(errors):
-            series.append(Series(label, [box_of(errors)], [number], "box"))
+            series.append(Series(row.label, [box_of(errors)], [number], "box"))
             series += [] if opens is None else [_beyond(group, metric, number, box_of(errors), opens, log=log)]
     beyond = 0 if reach is None else sum(int((np.abs(errors) > reach).sum()) for errors in shown)
     if beyond:
@@ -239,6 +238,45 @@ def figures_of(summary: Summary, names: Sequence[str] = ()) -> Iterator[tuple[st
             if any(panel.series for panel in figure.panels):
                 text = f"{_cut(title, _LONGEST_TITLE)}: {what}{some}"
                 yield f"{name}-{kind}", text, replace(figure, title=text)
+    lines = [row for group in summary.groups for row in group.measured]
+    yield from figures_over((names or figure_names([summary])[0])[0], summary.title, lines, summary.norms)
+
+
+def figures_over(
+    name: str, title: str, lines: Sequence[Statistics], norms: Sequence[str] = NORMS
+) -> Iterator[tuple[str, str, Figure]]:
+    """Yield (file name, title, figure) of the mean errors over the number of frames and over the initial error.
+
+    A figure has the methods with two or more points; without any there is none.
+    """
+    kinds: tuple[Over, ...] = ("frames", "initial error")
+    for over in kinds:
+        known = dict(list(curves(lines, over, least=2).items())[:_MOST_ROWS])
+        if known:
+            what = "number of frames" if over == "frames" else over
+            text = f"{_cut(title, _LONGEST_TITLE)}: mean error over the {what}, 95 % intervals"
+            size = (4.8 * len(norms), 3.6 + 0.07 * len(known))
+            figure = Figure(text, [_over(known, over, norm) for norm in norms], len(norms), size)
+            yield f"{name}-over-{over.replace(' ', '-')}", text, figure
+
+
+def _over(known: Mapping[str, Sequence[Statistics]], over: Over, norm: str) -> Panel:
+    unit, factor, _ = unit_of(norm)
+    series = []
+    for method, lines in known.items():
+        means = [mean for line in lines if (mean := line.mean(norm)) is not None]
+        places = [frames_of(line) if over == "frames" else factor * start_error_of(line, norm) for line in lines]
+        low, high = ([factor * (end or mean.value) for mean, end in ends] for ends in _ends(means))
+        values = [factor * mean.value for mean in means]
+        if len(values) == len(places):
+            series.append(Series(method, places, values, "line", low=low, high=high))
+    what = "frames of a joint calibration" if over == "frames" else f"initial {name_of(norm)} error [{unit}]"
+    return Panel(Axis(what, log=True), Axis(f"mean {name_of(norm)} error [{unit}]", log=True), series)
+
+
+def _ends(means: Sequence[Interval]) -> Iterator[list[tuple[Interval, float | None]]]:
+    yield [(mean, mean.low) for mean in means]
+    yield [(mean, mean.high) for mean in means]
 
 
 def _axes_figure(group: Group, summary: Summary) -> Figure:
