@@ -18,8 +18,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from p2o.arrays import Float, UInt8
 from p2o.calibration_files.number_text import digits, listed, matrix_rows, plain, quaternion_xyzw, spaced
+from p2o.draw.coloured_cloud import ply_bytes
 from p2o.errors import InputError, UnknownNameError, one_line
-from p2o.files.input_file import expanded, listing, read_bytes, read_text
+from p2o.files.input_file import expanded, listing, read_text
 from p2o.files.parsed_text import parse_json, parse_toml
 from p2o.files.whole_file import write_errors, write_whole
 from p2o.frames.cloud import Cloud
@@ -39,7 +40,6 @@ FOLDER = "external"
 """Folder of forms in a package: PACKAGE/external/NAME.toml."""
 STARTS = "starts.csv"
 """The file of initial guesses in a folder of inputs; line N belongs to the folder of number N - 2."""
-_RESULT_BYTES = 1 << 20
 _SEPARATORS = re.compile(r"[\s,;()\[\]]+")
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 _NEAR_DEG = 60.0
@@ -226,9 +226,7 @@ def _pcd(points: Any) -> bytes:
 
 
 def _ply(points: Any) -> bytes:
-    fields = "".join(f"property float {name}\n" for name in ("x", "y", "z", "intensity"))
-    head = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n{fields}end_header\n"
-    return head.encode() + _bin(points)
+    return ply_bytes(dict(zip(("x", "y", "z", "intensity"), points.T, strict=True)), "LiDAR frame, metres")
 
 
 _CLOUDS: Mapping[str, Callable[[Any], bytes]] = {".pcd": _pcd, ".ply": _ply, ".bin": _bin}
@@ -291,11 +289,7 @@ def read_result(folder: Path, result: ResultFile) -> Float | None:
         raise InputError("the result is a link out of its folder", where=path, expected=f"a file in {folder}")
     if path.is_file() and not path.stat().st_size:
         return None
-    data = read_bytes(path, "result", _RESULT_BYTES)
-    try:
-        text = data.decode()
-    except UnicodeDecodeError as problem:
-        raise InputError("the result is not text", where=path, expected="UTF-8 text") from problem
+    text = read_text(path, "result")
     values = _below(parse_json(text, "result", path), result, path) if result.keys else _after(text, result, path)
     name = ".".join(map(str, result.keys)) or "the pose"
     if result.order != "matrix":
