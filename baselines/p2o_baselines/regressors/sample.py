@@ -280,8 +280,8 @@ def flat(image: p2o.Image) -> tuple[UInt8, p2o.Camera]:
     if scale < 1.0:
         rgb = np.asarray(cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA))
         camera = camera.resized(width, height)
-    flattened = p2o.Image(np.asarray(rgb, dtype=np.uint8), camera).undistorted()
-    return flattened.rgb, flattened.camera
+    shown = p2o.Image(rgb, camera).undistorted()
+    return shown.rgb, shown.camera
 
 
 def labelled_image(sample: Sample) -> UInt8:

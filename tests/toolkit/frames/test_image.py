@@ -74,15 +74,15 @@ def test_grey_is_the_same_whether_a_picture_fits_into_one_band_or_not() -> None:
     assert np.array_equal(grey, wanted)
 
 
-def test_the_pinhole_image_of_a_lens_has_the_colours_along_the_same_rays() -> None:
-    """A ramp of colours along the directions of the rays, as a lens shows it, is the same ramp without the lens."""
-    lens = Camera("OPENCV", 64, 48, (60.0, 60.0, 31.5, 23.5, -0.2, 0.02, 0.0, 0.0))
-    v, u = np.indices((48, 64))
-    rays = lens.rays(np.stack([u, v], axis=-1).astype(np.float64))
-    ramp = np.rint(128 + 120 * rays[..., 0] / rays[..., 2]).astype(np.uint8)
-    image = Image(np.repeat(ramp[..., None], 3, axis=-1), lens).undistorted()
-    assert image.camera == Camera.pinhole(lens.focal_px, lens.focal_px, 31.5, 23.5, 64, 48)
-    expected = 128 + 120 * (u - 31.5) / lens.focal_px
-    assert np.abs(image.rgb[..., 0] - expected)[8:-8, 8:-8].max() < 1.5
-    plain = Image(image.rgb, image.camera).undistorted()
-    assert np.array_equal(plain.rgb, image.rgb)
+def test_an_undistorted_image_shows_a_point_where_its_pinhole_camera_does() -> None:
+    camera = Camera("OPENCV", 200, 100, (120.0, 118.0, 95.0, 52.0, -0.3, 0.1, 0.002, -0.001))
+    place = np.array([[0.4, -0.2, 1.0]])
+    v, u = np.indices((100, 200))
+    blob = np.exp(-((np.stack([u, v], -1) - camera.project(place)[0]) ** 2).sum(-1) / 8)
+    shown = Image(np.repeat(np.uint8(255 * blob)[..., None], 3, axis=2), camera).undistorted()
+    weight = shown.rgb[..., 0].astype(float)
+    centre = np.array([(weight * u).sum(), (weight * v).sum()]) / weight.sum()
+    assert shown.camera.is_pinhole
+    np.testing.assert_allclose(centre, shown.camera.project(place)[0], atol=0.1)
+    assert np.abs(centre - camera.project(place)[0]).max() > 3
+    assert np.array_equal(shown.undistorted().rgb, shown.rgb)

@@ -73,13 +73,16 @@ class Image:
         return grey
 
     def undistorted(self) -> Image:
-        """Return the image that a pinhole camera with the same size and focal length shows, black outside the lens."""
+        """Return the image, without right image, depth and mask, of a pinhole camera of the same focal length and size.
+
+        Pixels that the lens does not show are black. The image of a pinhole camera is returned as it is.
+        """
         import cv2
 
-        camera, (height, width) = self.camera, self.rgb.shape[:2]
+        camera = self.camera
         if camera.is_pinhole:
             return Image(self.rgb, camera)
-        focal = camera.focal_px
+        focal, width, height = camera.focal_px, camera.width, camera.height
         pinhole = Camera.pinhole(focal, focal, (width - 1) / 2, (height - 1) / 2, width, height)
         v, u = np.indices((height, width))
         uv = camera.project(pinhole.rays(np.stack([u, v], axis=-1).astype(np.float64)))
