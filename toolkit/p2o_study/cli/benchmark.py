@@ -377,7 +377,7 @@ def score(
 
 @command.command("table")
 @click.argument("suite")
-@_section
+@click.option("--section", metavar="NAME", help="One section of the suite (default: all).")
 @_takes("results", "suites")
 def table(bench: _Bench, suite: str, section: str | None) -> int:
     """Print the tables of a suite in Markdown, from its rows; no data are needed.
