@@ -48,12 +48,13 @@ def write_coloured_cloud(path: Path | str, rgb: UInt8, cloud: Cloud, camera: Cam
     write_whole(path, ply_bytes(columns, comment))
 
 
-def ply_bytes(columns: Mapping[str, Any], comment: str) -> bytes:
+def ply_bytes(columns: Mapping[str, Any], *comments: str) -> bytes:
     """Return points as binary PLY; `columns` are arrays (N,) by property: uint8, or numbers written as 32 bit."""
     kinds = {name: "u1" if np.asarray(column).dtype == np.uint8 else "<f4" for name, column in columns.items()}
     table = np.zeros(len(next(iter(columns.values()))), np.dtype(list(kinds.items())))
     for name, column in columns.items():
         table[name] = column
     properties = [f"property {'uchar' if kind == 'u1' else 'float'} {name}" for name, kind in kinds.items()]
-    head = ["ply", "format binary_little_endian 1.0", f"comment {comment}", f"element vertex {len(table)}"]
+    remarks = [f"comment {comment}" for comment in comments]
+    head = ["ply", "format binary_little_endian 1.0", *remarks, f"element vertex {len(table)}"]
     return ("\n".join([*head, *properties, "end_header"]) + "\n").encode() + table.tobytes()

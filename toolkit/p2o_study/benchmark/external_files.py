@@ -226,7 +226,7 @@ def _pcd(points: Any) -> bytes:
 
 
 def _ply(points: Any) -> bytes:
-    return ply_bytes(dict(zip(("x", "y", "z", "intensity"), points.T, strict=True)), "LiDAR frame, metres")
+    return ply_bytes(dict(zip(("x", "y", "z", "intensity"), points.T, strict=True)))
 
 
 _CLOUDS: Mapping[str, Callable[[Any], bytes]] = {".pcd": _pcd, ".ply": _ply, ".bin": _bin}
