@@ -56,6 +56,7 @@ ELSEWHERE = {
     "docs/tutorial/first-study.md": "tests/test_tutorials.py",
     "docs/tutorial/your-own-frames.md": "tests/test_tutorials.py",
     "docs/how-to/fleet.md": "tests/test_fleet_page.py",
+    "docs/how-to/published-network.md": "tests/p2o_study/test_external_files.py",
     "docs/how-to/ros-bag.md": "tests/test_ros_bag_page.py",
     "docs/how-to/several-lidars.md": "tests/test_rig_of_lidars_command.py",
 }

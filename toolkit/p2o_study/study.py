@@ -190,13 +190,21 @@ class Product(_Scope):
 
 
 class Published(_Table):
-    """Figures of a publication as printed, in degrees and metres; `beside` is the label of the row to compare with."""
+    """Figures of a publication as printed, in degrees and metres; `beside` is the label of the row to compare with.
+
+    `figure` states which statistic they are, such as "median", `frames` of what, `training` on what the method was
+    trained, `start` its initial error, and `section` the table of a page.
+    """
 
     label: Label
     source: Label
     values: dict[MetricName, float]
     beside: Label | None = None
+    section: Line = ""
+    training: Line = ""
     start: Line = ""
+    frames: Line = ""
+    figure: Line = ""
     note: str = ""
 
     def compares_with(self, label: str) -> bool:

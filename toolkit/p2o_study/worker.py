@@ -393,7 +393,7 @@ def _rig_result(job: CalibrateJob) -> Result:
         assert pose is not None
         assert body is not None
         places[name] = pose @ se3.inverse(body)
-        frames[name] = _frames_of(records)
+        frames[name] = frames_of(records)
     limit_threads()
     began, names = time.perf_counter(), list(job.cameras)
 
@@ -419,7 +419,7 @@ def _rig_result(job: CalibrateJob) -> Result:
     )
 
 
-def _frames_of(records: Sequence[FrameRecord]) -> Sequence[Frame]:
+def frames_of(records: Sequence[FrameRecord]) -> Sequence[Frame]:
     """Return frames without ground truth; those that memory cannot hold are read again at each access."""
     for record in records:
         _frame(record.source)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -39,22 +41,20 @@ def write_coloured_cloud(path: Path | str, rgb: UInt8, cloud: Cloud, camera: Cam
     Raises InputError as `colours_of`, and if the file cannot be written.
     """
     colours, _ = colours_of(rgb, cloud, camera, camera_from_lidar)
-    fields = [*((axis, "<f4") for axis in "xyz"), *((name, "u1") for name in ("red", "green", "blue"))]
-    fields += [] if cloud.intensity is None else [("intensity", "<f4")]
-    table = np.zeros(len(cloud), np.dtype(fields))
-    for number, axis in enumerate("xyz"):
-        table[axis] = cloud.xyz[:, number]
-    for number, name in enumerate(("red", "green", "blue")):
-        table[name] = colours[:, number]
-    if cloud.intensity is not None:
-        table["intensity"] = cloud.intensity
-    kinds = {"<f4": "float", "u1": "uchar"}
-    head = [
-        "ply",
-        "format binary_little_endian 1.0",
-        "comment LiDAR frame, metres; colours of the image, grey where the point is not visible",
-        f"element vertex {len(cloud)}",
-        *(f"property {kinds[kind]} {name}" for name, kind in fields),
-        "end_header",
-    ]
-    write_whole(path, ("\n".join(head) + "\n").encode() + table.tobytes())
+    columns = dict(zip(("x", "y", "z"), cloud.xyz.T, strict=True))
+    columns |= dict(zip(("red", "green", "blue"), colours.T, strict=True))
+    columns |= {} if cloud.intensity is None else {"intensity": cloud.intensity}
+    comment = "LiDAR frame, metres; colours of the image, grey where the point is not visible"
+    write_whole(path, ply_bytes(columns, comment))
+
+
+def ply_bytes(columns: Mapping[str, Any], *comments: str) -> bytes:
+    """Return points as binary PLY; `columns` are arrays (N,) by property: uint8, or numbers written as 32 bit."""
+    kinds = {name: "u1" if np.asarray(column).dtype == np.uint8 else "<f4" for name, column in columns.items()}
+    table = np.zeros(len(next(iter(columns.values()))), np.dtype(list(kinds.items())))
+    for name, column in columns.items():
+        table[name] = column
+    properties = [f"property {'uchar' if kind == 'u1' else 'float'} {name}" for name, kind in kinds.items()]
+    remarks = [f"comment {comment}" for comment in comments]
+    head = ["ply", "format binary_little_endian 1.0", *remarks, f"element vertex {len(table)}"]
+    return ("\n".join([*head, *properties, "end_header"]) + "\n").encode() + table.tobytes()

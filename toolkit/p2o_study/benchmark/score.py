@@ -8,7 +8,7 @@ import io
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +21,7 @@ from p2o.results.verdict import Trust
 
 from p2o_study.cells import Cell
 from p2o_study.row import Case, Environment, Method, Row, content_id
-from p2o_study.worker import now
+from p2o_study.worker import FrameRecord, now
 
 KEY = ("group", "protocol", "seed")
 """Columns that identify a calibration of a suite."""
@@ -37,17 +37,18 @@ Key = tuple[str, str, int]
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """A calibration that every method of a suite makes, and the sections in which it occurs."""
+    """A calibration that every method of a suite makes, its frames, and the sections in which it occurs."""
 
     case: Case
     sections: tuple[str, ...]
+    records: tuple[FrameRecord, ...] = ()
 
 
-def starts_of(cells: Iterable[Cell]) -> dict[Key, Start]:
-    """Return the calibrations of a suite by group, protocol and seed; each is the same for all methods.
+def starts_of(cells: Iterable[Cell], section: str | None = None) -> dict[Key, Start]:
+    """Return the calibrations of a suite, or of one section, by group, protocol and seed: the same for all methods.
 
     Those of rigs are left out: their poses need the transforms between the cameras. Raises InputError if two methods
-    have different initial guesses or frames for one of them.
+    have different initial guesses or frames for one of them, UnknownNameError for a section without calibrations.
     """
     starts: dict[Key, Start] = {}
     first: dict[Key, str] = {}
@@ -56,15 +57,20 @@ def starts_of(cells: Iterable[Cell]) -> dict[Key, Start]:
         if cell.group.rig or case.start is None or not cell.group.readable:
             continue
         key = f"{case.dataset}: {case.place}", case.protocol, case.seed
-        known = starts.setdefault(key, Start(case, ()))
+        known = starts.setdefault(key, Start(case, (), cell.group.records))
         label = first.setdefault(key, planned.row)
         assert known.case.start is not None
         if not np.array_equal(known.case.start, case.start) or known.case.names != case.names:
             text = f"rows '{label}' and '{planned.row}' differ in frames or initial guess"
             raise InputError(text, where=f"{key[0]}, {key[1]}, seed {key[2]}", expected="the same for all")
         if planned.section not in known.sections:
-            starts[key] = Start(known.case, (*known.sections, planned.section))
-    return starts
+            starts[key] = replace(known, sections=(*known.sections, planned.section))
+    if section is None:
+        return starts
+    sections = {name for start in starts.values() for name in start.sections}
+    if section not in sections:
+        raise UnknownNameError("section", section, sections)
+    return {key: replace(start, sections=(section,)) for key, start in starts.items() if section in start.sections}
 
 
 def starts_csv(starts: Mapping[Key, Start]) -> str:
@@ -96,7 +102,7 @@ def score(
     environment = Environment(commit="external", measured_by=measured_by)
     rows: list[Row] = []
     lines: dict[Key, int] = {}
-    for number, values in _records(path):
+    for number, values in records(path):
         where = f"{path}:{number}"
         key = values["group"], values["protocol"], _seed(values["seed"], where)
         if key not in starts:
@@ -105,7 +111,7 @@ def score(
             text = f"a second pose for {key[0]}, {key[1]}, seed {key[2]}"
             raise InputError(text, where=where, expected="one line each", got=f"the first in line {lines[key]}")
         lines[key] = number
-        pose, seconds = _pose(values, where), values.get("seconds", "").strip()
+        pose, seconds = pose_in(values, where), values.get("seconds", "").strip()
         rows += [
             Row(
                 content_id([name, digest, section, *key]),
@@ -132,7 +138,7 @@ def score(
     return rows
 
 
-def _records(path: Path) -> Iterable[tuple[int, dict[str, str]]]:
+def records(path: Path) -> Iterable[tuple[int, dict[str, str]]]:
     """Yield line number and values by column; raises InputError for a wrong header or number of columns."""
     text = read_text(path, "file of poses").lstrip("\ufeff")
     reader = csv.DictReader(io.StringIO(text, newline=""), strict=True)
@@ -172,7 +178,7 @@ def _raise_unknown(key: Key, starts: Mapping[Key, Start], where: str) -> None:
     raise InputError("unknown seed", where=where, expected=f"one of {', '.join(map(str, seeds[:20]))}", got=seed)
 
 
-def _pose(values: Mapping[str, str], where: str) -> Float | None:
+def pose_in(values: Mapping[str, str], where: str) -> Float | None:
     """Return camera_from_lidar (4, 4), None for an empty pose; raises InputError for one that is not rigid."""
     columns: Sequence[str] = MATRIX if MATRIX[0] in values else QUATERNION
     texts = [values[column].strip() for column in columns]

@@ -285,33 +285,45 @@ def recheck(bench: _Bench, suite: str | None, sample: int, seed: int | None) -> 
     return 0 if clean else 1
 
 
-def _starts(file: Suite, bench: _Bench) -> Any:
-    """Return the initial guesses of a suite by group, protocol and seed; frames are read."""
+def _starts(file: Suite, bench: _Bench, section: str | None) -> Any:
+    """Return the initial guesses of a suite, or of one section, by group, protocol and seed; frames are read."""
     from p2o_study.ablate import open_session
     from p2o_study.benchmark.score import starts_of
 
     with bench.session() as words, open_session(file, **words) as session:
-        return starts_of(session.cells())
+        return starts_of(session.cells(), section)
+
+
+_section = click.option("--section", metavar="NAME", help="One section of the suite (default: all).")
 
 
 @command.command("starts")
 @click.argument("suite")
-@click.option("--out", required=True, metavar="FILE.csv", help="The file to write.")
+@click.option("--out", required=True, metavar="FILE.csv", help="The file to write; with --for a new folder.")
+@click.option("--for", "program", metavar="NAME", help="Write the inputs of an external program: a name or FILE.toml.")
+@_section
 @_takes("data", "suites", "quiet")
-def starts(bench: _Bench, suite: str, out: str) -> int:
-    """Write the initial guesses of a suite as CSV, for a method outside p2o.
+def starts(bench: _Bench, suite: str, out: str, program: str | None, section: str | None) -> int:
+    """Write the initial guesses of a suite as CSV, or as the inputs of an external program.
 
     Each line is one calibration: group, protocol, seed, the names of its frames separated by ";", and the initial guess
-    camera_from_lidar as m00 to m33 (row by row, metres).
+    camera_from_lidar as m00 to m33 (row by row, metres). With --for, each calibration is a folder with its images,
+    sweeps, camera and initial guess in the files that the program reads.
 
     \b
     p2o benchmark starts smoke --out starts.csv
+    p2o benchmark starts smoke --for claim --out FOLDER
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
     from p2o.files.whole_file import write_whole
 
+    from p2o_study.benchmark.external_files import find_form, write_inputs
     from p2o_study.benchmark.score import starts_csv
 
-    known = _starts(bench.open(suite), bench)
+    form = None if program is None else find_form(program, bench.plugins.registry())
+    known = _starts(bench.open(suite), bench, section)
+    if form is not None:
+        click.echo(f"wrote {out}: {write_inputs(Path(out), known, form)} folders; in each of them run: {form.run}")
+        return 0
     write_whole(out, starts_csv(known).encode())
     click.echo(f"wrote {out}: {len(known)} initial guesses")
     return 0
@@ -321,25 +333,39 @@ def starts(bench: _Bench, suite: str, out: str) -> int:
 @click.argument("poses")
 @click.option("--suite", required=True, metavar="SUITE", help="The suite of the initial guesses.")
 @click.option("--name", required=True, metavar="NAME", help="The name of the method in tables.")
+@click.option("--from", "program", metavar="NAME", help="POSES is the folder of `starts --for NAME` with results.")
 @click.option("--source", default="", metavar="TEXT", help="Where the method is described: a paper or an address.")
 @click.option("--by", default="anonymous", show_default=True, metavar="NAME", help="Who measured; part of each row.")
+@_section
 @_takes("results", "data", "suites", "quiet")
-def score(bench: _Bench, poses: str, suite: str, name: str, source: str, by: str) -> int:
+def score(
+    bench: _Bench, poses: str, suite: str, name: str, program: str | None, source: str, by: str, section: str | None
+) -> int:
     """Add the poses of a method outside p2o to the results of a suite.
 
     POSES is a CSV file with the columns group, protocol and seed of `p2o benchmark starts`, and camera_from_lidar as
     m00 to m33 or as qx, qy, qz, qw, tx, ty, tz (scalar last, metres); optionally seconds. An empty pose is a refused
-    calibration. Every calibration of the suite needs a line.
+    calibration. Every calibration of the suite needs a line. With --from, the results in the folders of an external
+    program are first written to poses.csv in POSES; an empty file is a refused calibration.
 
     \b
     p2o benchmark score poses.csv --suite smoke --name "PnP on boards"
+    p2o benchmark score FOLDER --from claim --suite smoke --name CLAIM
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
-    from p2o_study.benchmark import score as external
+    from p2o.files.whole_file import write_whole
 
+    from p2o_study.benchmark import score as external
+    from p2o_study.benchmark.external_files import find_form, poses_csv
+
+    path = Path(poses)
+    if program is not None:
+        text = poses_csv(path, find_form(program, bench.plugins.registry()))
+        path /= "poses.csv"
+        write_whole(path, text.encode())
     file = bench.open(suite)
-    known = _starts(file, bench)
+    known = _starts(file, bench, section)
     labels = [row.label for row in file.all_rows()]
-    rows = external.score(Path(poses), known, name, source=source, measured_by=by, known=labels)
+    rows = external.score(path, known, name, source=source, measured_by=by, known=labels)
     stored = bench.rows
     stored.make_folder()
     for row in rows:
@@ -496,13 +522,15 @@ def docs(bench: _Bench, pages: tuple[str, ...], check: bool, cards: str) -> int:
 
     A table is marked by the lines `<!-- rows: SUITE -->`, or
     `<!-- rows: SUITE, SECTION; data: A, B; methods: X, Y -->`, and `<!-- /rows -->`; a record by
-    `<!-- record: NAME -->` and `<!-- /record -->`; the cards by `<!-- cards -->` and `<!-- /cards -->`.
+    `<!-- record: NAME -->` and `<!-- /record -->`; the cards by `<!-- cards -->` and `<!-- /cards -->`; figures that a
+    suite quotes by `<!-- published: SUITE, SECTION -->` and `<!-- /published -->`.
     """
     from p2o.files.input_file import read_text
     from p2o.files.whole_file import write_whole
 
     from p2o_study.benchmark.card import page_text, read_cards
     from p2o_study.benchmark.marks import rendered
+    from p2o_study.benchmark.published import published_text
     from p2o_study.benchmark.record import record_text
     from p2o_study.benchmark.tables import rows_text
 
@@ -510,6 +538,7 @@ def docs(bench: _Bench, pages: tuple[str, ...], check: bool, cards: str) -> int:
         "rows": rows_text(bench.tables()),
         "record": record_text(Path(bench.results)),
         "cards": lambda *_: page_text(read_cards(Path(cards))),
+        "published": published_text(bench.open),
     }
     different = 0
     for path in [Path(page) for page in pages] or [Path("README.md"), *sorted(Path("docs").rglob("*.md"))]:
