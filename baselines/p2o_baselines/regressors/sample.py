@@ -280,13 +280,8 @@ def flat(image: p2o.Image) -> tuple[UInt8, p2o.Camera]:
     if scale < 1.0:
         rgb = np.asarray(cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA))
         camera = camera.resized(width, height)
-    if camera.is_pinhole:
-        return np.asarray(rgb, dtype=np.uint8), camera
-    pinhole = p2o.Camera.pinhole(camera.focal_px, camera.focal_px, (width - 1) / 2, (height - 1) / 2, width, height)
-    v, u = np.indices((height, width))
-    uv = camera.project(pinhole.rays(np.stack([u, v], axis=-1).astype(np.float64)))
-    x, y = np.where(np.isfinite(uv), uv, -10.0).astype(np.float32).transpose(2, 0, 1)
-    return np.asarray(cv2.remap(rgb, x, y, cv2.INTER_LINEAR), dtype=np.uint8), pinhole
+    shown = p2o.Image(rgb, camera).undistorted()
+    return shown.rgb, shown.camera
 
 
 def labelled_image(sample: Sample) -> UInt8:

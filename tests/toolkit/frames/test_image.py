@@ -72,3 +72,17 @@ def test_grey_is_the_same_whether_a_picture_fits_into_one_band_or_not() -> None:
     grey = Image(rgb, Camera.pinhole(5, 5, 2, 300, 5, 600)).grey
     wanted = np.floor(rgb @ np.array([0.299, 0.587, 0.114]) + 0.5)
     assert np.array_equal(grey, wanted)
+
+
+def test_an_undistorted_image_shows_a_point_where_its_pinhole_camera_does() -> None:
+    camera = Camera("OPENCV", 200, 100, (120.0, 118.0, 95.0, 52.0, -0.3, 0.1, 0.002, -0.001))
+    place = np.array([[0.4, -0.2, 1.0]])
+    v, u = np.indices((100, 200))
+    blob = np.exp(-((np.stack([u, v], -1) - camera.project(place)[0]) ** 2).sum(-1) / 8)
+    shown = Image(np.repeat(np.uint8(255 * blob)[..., None], 3, axis=2), camera).undistorted()
+    weight = shown.rgb[..., 0].astype(float)
+    centre = np.array([(weight * u).sum(), (weight * v).sum()]) / weight.sum()
+    assert shown.camera.is_pinhole
+    np.testing.assert_allclose(centre, shown.camera.project(place)[0], atol=0.1)
+    assert np.abs(centre - camera.project(place)[0]).max() > 3
+    assert np.array_equal(shown.undistorted().rgb, shown.rgb)

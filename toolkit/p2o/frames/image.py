@@ -71,3 +71,20 @@ class Image:
             band = self.rgb[start : start + _BAND] @ np.array([0.299, 0.587, 0.114])
             grey[start : start + _BAND] = (band + 0.5).astype(np.uint8)
         return grey
+
+    def undistorted(self) -> Image:
+        """Return the image, without right image, depth and mask, of a pinhole camera of the same focal length and size.
+
+        Pixels that the lens does not show are black. The image of a pinhole camera is returned as it is.
+        """
+        import cv2
+
+        camera = self.camera
+        if camera.is_pinhole:
+            return Image(self.rgb, camera)
+        focal, width, height = camera.focal_px, camera.width, camera.height
+        pinhole = Camera.pinhole(focal, focal, (width - 1) / 2, (height - 1) / 2, width, height)
+        v, u = np.indices((height, width))
+        uv = camera.project(pinhole.rays(np.stack([u, v], axis=-1).astype(np.float64)))
+        x, y = np.where(np.isfinite(uv), uv, -10.0).astype(np.float32).transpose(2, 0, 1)
+        return Image(np.asarray(cv2.remap(self.rgb, x, y, cv2.INTER_LINEAR), dtype=np.uint8), pinhole)
