@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import importlib
 import io
 import socket
 import sys
@@ -14,7 +13,8 @@ from collections.abc import Callable, Iterator, Sequence
 from html import escape
 from typing import Any, Protocol, Self
 
-from p2o.errors import InputError, MethodUnavailable, P2OError, printable
+from p2o.errors import InputError, P2OError, printable
+from p2o.runtime.packages import optional_package
 
 HOST = "127.0.0.1"
 _MAX_LISTED_FRAMES = 500
@@ -144,12 +144,7 @@ def _number_of(label: str) -> int:
 
 def require_viser(command: str) -> Any:
     """Return the package viser; raises MethodUnavailable if it is not installed."""
-    try:
-        return importlib.import_module("viser")
-    except ModuleNotFoundError as problem:
-        raise MethodUnavailable(
-            f"{command} needs the package viser, which is not installed", hint='run: pip install "viser>=1.1"'
-        ) from problem
+    return optional_package("viser", command, '"viser>=1.1"')
 
 
 def _html(lines: Sequence[str]) -> str:

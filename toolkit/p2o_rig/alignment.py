@@ -12,10 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from p2o.arrays import Float
-from p2o.errors import InputError, MethodUnavailable
+from p2o.errors import InputError
 from p2o.frames.cloud import Cloud
 from p2o.geometry import se3
 from p2o.geometry.motion import adjoint_matrix
+from p2o.runtime.packages import optional_package
 
 MIN_MOMENTS = 3
 """Minimum number of moments for a scatter."""
@@ -89,12 +90,7 @@ def align_sweeps(pairs: Sequence[tuple[Cloud, Cloud]], guess: Float) -> Alignmen
 
 def _aligned(first: Cloud, second: Cloud, guess: Float) -> _Moment | None:
     """Align one pair of sweeps; None if too few points overlap."""
-    try:
-        import small_gicp
-    except ModuleNotFoundError as problem:
-        text = "the alignment of sweeps needs the package small_gicp, which is not installed"
-        raise MethodUnavailable(text, hint='run: pip install "p2o-calib[gicp]"') from problem
-
+    small_gicp = optional_package("small_gicp", "the alignment of sweeps", '"p2o-calib[gicp]"')
     target, tree = small_gicp.preprocess_points(first.xyz, _VOXEL_M, _NEIGHBOURS)
     source, _ = small_gicp.preprocess_points(second.xyz, _VOXEL_M, _NEIGHBOURS)
     if min(target.size(), source.size()) < _MIN_PAIRS:

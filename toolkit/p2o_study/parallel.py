@@ -27,8 +27,9 @@ from dataclasses import dataclass, field
 from functools import cache, partial
 from typing import Any, Literal, TypeAlias
 
-from p2o.errors import InputError, MethodUnavailable, P2OError, one_line
+from p2o.errors import InputError, P2OError, one_line
 from p2o.runtime.native import keep_freed_memory
+from p2o.runtime.packages import optional_package
 
 Backend = Literal["loky", "dask", "ray"]
 
@@ -75,11 +76,7 @@ class Workers:
             raise InputError("the backend loky has no address", where="--address", expected="--backend dask")
         if self.backend in _PACKAGES:
             package, installed = _PACKAGES[self.backend]
-            try:
-                importlib.import_module(package)
-            except ModuleNotFoundError as problem:
-                text = f"--backend {self.backend} needs the package {problem.name}, which is not installed"
-                raise MethodUnavailable(text, hint=f"run: pip install {installed}") from problem
+            optional_package(package, f"--backend {self.backend}", installed)
 
     @contextlib.contextmanager
     def start(self) -> Iterator[Run]:

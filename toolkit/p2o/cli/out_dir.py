@@ -19,6 +19,7 @@ from p2o.results.result import Status
 
 if TYPE_CHECKING:
     from p2o.arrays import Float, UInt8
+    from p2o.features.edges import CloudEdges, ImageEdges
     from p2o.frames.frame import Frame
     from p2o.geometry.camera import Camera
     from p2o.results.result import Result, RigResult
@@ -88,7 +89,7 @@ class OutDir:
             for frame in progress.frames:
                 folder = self.root / self.folders[frame.name]
                 with _write_errors(folder):
-                    _Drawn.of(frame, progress.row.result, pose).write(folder, "common", progress)
+                    Drawn.of(frame, progress.row.result, pose).write(folder, "common", progress)
 
     def finish(self, run: Run) -> Path | None:
         """Write run.json and the page, and return the page; None without finished results."""
@@ -109,14 +110,14 @@ class OutDir:
         for frame in progress.frames:
             folder = self.root / self.folders[frame.name]
             folder.mkdir(parents=True, exist_ok=True)
-            after = _Drawn.of(frame, result, result.camera_from_lidar)
-            _Drawn(frame, result.start, frame.camera, frame).write(folder, "before", progress)
+            after = Drawn.of(frame, result, result.camera_from_lidar)
+            Drawn(frame, result.start, frame.camera, frame).write(folder, "before", progress)
             after.write(folder, "after", progress)
             after.write_cloud(folder)
 
 
 @dataclass(frozen=True, eq=False)
-class _Drawn:
+class Drawn:
     """What is drawn of a frame: at a pose camera_from_lidar (4, 4), with the camera and the sweep of that pose.
 
     `seen` is the frame with the sweep compensated for the motions that the result reports.
@@ -128,7 +129,7 @@ class _Drawn:
     seen: Frame
 
     @classmethod
-    def of(cls, frame: Frame, result: Result, pose: Float) -> _Drawn:
+    def of(cls, frame: Frame, result: Result, pose: Float) -> Drawn:
         """Return a frame at a pose (4, 4), with the corrections of camera and sweep that its result reports."""
         twist = result.twist_of(frame.name)
         corrected = frame if twist is None else replace(frame, cloud=frame.cloud.untwisted(twist))
@@ -145,7 +146,7 @@ class _Drawn:
             if by == "range" or self.seen.cloud.intensity is not None:
                 image = sweep_image.draw_sweep(self.frame.image.rgb, self.seen.cloud, self.camera, self.pose, by)
                 overlay.write_png(folder / f"sweep-{by}-{name}.png", image)
-        overlay.write_png(folder / f"{name}.png", self._edges(progress))
+        overlay.write_png(folder / f"{name}.png", self._overlay(progress))
 
     def write_cloud(self, folder: Path) -> None:
         """Write the coloured cloud."""
@@ -154,21 +155,30 @@ class _Drawn:
         rgb, cloud = self.frame.image.rgb, self.seen.cloud
         coloured_cloud.write_coloured_cloud(folder / _CLOUD, rgb, cloud, self.camera, self.pose)
 
-    def _edges(self, progress: Progress) -> UInt8:
-        """Return the overlay (H, W, 3) of the edges of both sensors, or of the sweep if there are none."""
-        from p2o.draw import overlay
-
+    def edges(self, progress: Progress) -> tuple[ImageEdges, CloudEdges] | None:
+        """Return the edges of both sensors, those of the image in its full size; None if there are none."""
         assert progress.row is not None
         failed = progress.row.result.status is Status.STAGE_FAILED
         view = None if failed else progress.assembly.view(self.seen)
         if view is None or not (len(view.image_edges) or len(view.cloud_edges)):
-            return overlay.draw_cloud(self.frame.image.rgb, self.seen.cloud, self.camera, self.pose)
+            return None
         view = view.as_seen_from(self.pose)
+        uv = (view.image_edges.uv + 0.5) * self._downsampling() - 0.5
+        return replace(view.image_edges, uv=uv), view.cloud_edges
+
+    def _downsampling(self) -> Float:
+        """Return by how much (2,) the image that edges are extracted from is smaller, in each axis."""
         small, full = image_at_scale(self.frame.image).camera, self.frame.image.camera
-        size = np.array([full.width / small.width, full.height / small.height])
-        edges = replace(view.image_edges, uv=(view.image_edges.uv + 0.5) * size - 0.5)
-        rgb = self.frame.image.rgb
-        return overlay.draw(rgb, edges, view.cloud_edges, self.camera, self.pose, size=float(size.mean()))
+        return np.array([full.width / small.width, full.height / small.height])
+
+    def _overlay(self, progress: Progress) -> UInt8:
+        """Return the overlay (H, W, 3) of the edges of both sensors, or of the sweep if there are none."""
+        from p2o.draw import overlay
+
+        rgb, edges = self.frame.image.rgb, self.edges(progress)
+        if edges is None:
+            return overlay.draw_cloud(rgb, self.seen.cloud, self.camera, self.pose)
+        return overlay.draw(rgb, *edges, self.camera, self.pose, size=float(self._downsampling().mean()))
 
 
 def _write_errors(folder: Path) -> AbstractContextManager[None]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,6 +26,7 @@ from p2o.errors import InputError, P2OError, printable
 
 if TYPE_CHECKING:
     from p2o.cli.out_dir import OutDir
+    from p2o.cli.recording import Recording
     from p2o.geometry.perturb import Perturbation
     from p2o.host.registry import Registry
     from p2o.host.stages import Exporter
@@ -122,6 +123,11 @@ if TYPE_CHECKING:
     help="Folder of a page (result.html), result JSON, overlays and convergence plots.",
 )
 @click.option(
+    "--rerun",
+    metavar="FILE.rrd",
+    help="Record sweep, images, edges and poses of each frame for the Rerun viewer (extra rerun).",
+)
+@click.option(
     "--export",
     "exports",
     multiple=True,
@@ -142,6 +148,7 @@ def command(
     as_json: bool,
     verbose: bool,
     out: str | None,
+    rerun: str | None,
     exports: tuple[str, ...],
     export_anyway: bool,
     isolate: bool,
@@ -175,18 +182,25 @@ def command(
         from p2o.cli.out_dir import OutDir
 
         folder = OutDir.prepared(out)
+    recording: Recording | None = None
+    if rerun is not None:
+        from p2o.cli.recording import Recording
+
+        recording = Recording.prepared(rerun)
     write = (lambda text: None) if as_json else click.echo
     opened = [Export.of(text, registry) for text in exports]
-    output = _Output(write, verbose, plan.recipe.joint, folder, opened, required, export_anyway)
+    output = _Output(write, verbose, plan.recipe.joint, folder, recording, opened, required, export_anyway)
     done, problem = _calibrated(plan, output, protocol, (block, plugin) if isolate else None)
     page: Path | None = None
-    if output.folder is not None:
-        try:
+    try:
+        if output.recording is not None:
+            output.recording.finish()
+        if output.folder is not None:
             if done.rig is not None:
                 output.folder.write_common(output.cameras, done.rig)
             page = output.folder.finish(done)
-        except P2OError as error:
-            problem = problem or error
+    except P2OError as error:
+        problem = problem or error
     if as_json:
         print_json(done.as_dict() | ({"exports": output.exported} if exports else {}))
     else:
@@ -233,6 +247,7 @@ class _Output:
     verbose: bool
     joint: bool
     folder: OutDir | None
+    recording: Recording | None
     exports: list[Export]
     required: Required | None
     anyway: bool
@@ -252,7 +267,9 @@ class _Output:
         files = distinct_names(cameras or names)
         place = "{camera}" if cameras else "{frame}"
         self.exports = [export.for_frames({name: files[name] for name in named}, place) for export in self.exports]
-        check_apart(self.exports, [] if self.folder is None else self.folder.files)
+        outputs = [] if self.folder is None else [("--out", file) for file in self.folder.files]
+        outputs += [] if self.recording is None else [("--rerun", self.recording.path)]
+        check_apart([*outputs, *((f"--export {e.text}", file) for e in self.exports for file in e.files.values())])
 
     def add(self, progress: Progress) -> None:
         """Print and write a result or a failed frame."""
@@ -264,12 +281,14 @@ class _Output:
         elif progress.row is not None:
             # Printed first, so that a result is not lost if the disk is full.
             self.rows.append(progress.row)
-            others = len(self.exports) + (self.folder is not None)
+            others = len(self.exports) + (self.folder is not None) + (self.recording is not None)
             row = progress.row
             self.write(describe(row) if self.verbose else describe_briefly(row, MOST_LINES - others))
             if self.folder is not None:
                 self.folder.write(progress)
                 self.cameras += [progress] if progress.camera else []
+            if self.recording is not None:
+                self.recording.write(progress)
             for export in self.exports:
                 self._export(export, progress.row.result, progress.camera or progress.frames[0].name)
 
@@ -306,6 +325,8 @@ class _Output:
             self.write(describe_rig(run.rig, run.rig_errors))
         if self.folder is not None and page is not None:
             self.write(f"wrote {page} (open it in a browser), {self.folder.content_text()}")
+        if self.recording is not None and run.rows:
+            self.write(f"wrote {self.recording.path} (open it: rerun {self.recording.path})")
 
 
 _SLOW = ("matcher", "solver", "calibrator")
@@ -441,15 +462,13 @@ class Export:
         self.exporter(result, file)
 
 
-def check_apart(exports: Sequence[Export], taken: Sequence[Path] = ()) -> None:
-    """Raise InputError if two exports have the same file, or one of the files `taken` by --out."""
-    known = {_key(path): "--out" for path in taken}
-    for export in exports:
-        for file in export.files.values():
-            other = known.setdefault(_key(file), export.text)
-            if other is not export.text:
-                both = f"{other} and --export {export.text}"
-                raise InputError("two outputs have the same file", where=file, got=both)
+def check_apart(outputs: Iterable[tuple[str, Path]]) -> None:
+    """Raise InputError if two outputs, each an option with a file, have the same file."""
+    known: dict[str, str] = {}
+    for option, file in outputs:
+        other = known.setdefault(_key(file), option)
+        if other is not option:
+            raise InputError("two outputs have the same file", where=file, got=f"{other} and {option}")
 
 
 def _key(path: Path) -> str:
