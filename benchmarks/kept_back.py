@@ -2,6 +2,7 @@
 
     python benchmarks/kept_back.py FILE.md [--weights free] [--columns "deg median;cm median;good"]
     python benchmarks/kept_back.py FILE.md --weights free --beside rigs
+    python benchmarks/kept_back.py FILE.md --brief    # one line for each set of SETS
 
 FILE has a Markdown table with the columns set, weights and mode, as `kept-back-0.2.0.md`. With --beside the figures of
 development frames of the same rigs are beside them, from the rows of a suite with this version.
@@ -30,6 +31,19 @@ DEVELOPMENT = {
 LABELS = {"default": "default", "free": "free-weights"}
 """The label of single frames in the suite by weights; that of joint calibrations ends with ", joint"."""
 COLUMNS = ("runs (frames)", "deg median", "deg mean", "cm median", "cm mean", "trusted", "trusted, outside 95 %")
+
+SHORT = {"single": "one frame", "joint": "all jointly"}
+"""Headings of `by_set` by mode."""
+WRONG = "trusted, > 1 deg or 30 cm"
+SETS = (
+    "odometry 00, later half",
+    "raw 2011_09_26, other drives",
+    "waymo, later part",
+    "drive 0052, 32 rings",
+    "drive 0052, 16 rings",
+    "tamu, OS1-64 indoors at rest",
+)
+"""Sets of `by_set`: those with single frames and joint calibrations, one for each kind of sensor and place."""
 
 
 def read(text: str) -> list[dict[str, str]]:
@@ -69,17 +83,33 @@ def beside(rows: list[dict[str, str]], weights: str, lines: dict[Key, Statistics
     return table(["set", "mode", *COLUMNS, *(f"kept back: {name}" for name in COLUMNS)], cells)
 
 
+def by_set(rows: list[dict[str, str]], weights: str) -> str:
+    """Return one line for each of `SETS`: medians of single frames and of joint calibrations, and their verdicts."""
+    cells = []
+    for name in SETS:
+        modes = {row["mode"]: row for row in rows if row["set"] == name and row["weights"] == weights}
+        errors = [f"{row['deg median']} deg, {row['cm median']} cm" for row in (modes[mode] for mode in SHORT)]
+        runs = sum(int(row["runs (frames)"].split()[0]) for row in modes.values())
+        trusted, wrong = (sum(int(row[key]) for row in modes.values()) for key in ("trusted", WRONG))
+        frames = modes["single"]["runs (frames)"].split("(")[1].rstrip(")")
+        cells.append([name, frames, *errors, f"{trusted} of {runs} ({wrong})"])
+    return table(["frames of", "number", *SHORT.values(), "trusted (wrong)"], cells)
+
+
 def main() -> None:
     """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("file", type=Path)
     parser.add_argument("--weights", choices=LABELS)
     parser.add_argument("--columns", type=lambda text: text.split(";"))
+    parser.add_argument("--brief", action="store_true", help="one line for each set of SETS")
     parser.add_argument("--beside", metavar="SUITE", help="a suite of single frames and joint calibrations")
     parser.add_argument("--results", default="benchmarks/results")
     given = parser.parse_args()
     rows = read(given.file.read_text(encoding="utf-8"))
-    if given.beside is None:
+    if given.brief:
+        print(by_set(rows, given.weights or "free"))
+    elif given.beside is None:
         print(kept_back(rows, given.weights, given.columns))
     else:
         lines = read_lines(find_suite(given.beside, Registry.load()), Rows(given.results))
