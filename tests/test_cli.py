@@ -96,17 +96,17 @@ def test_without_a_driver_of_a_gpu_the_default_run_imports_no_torch() -> None:
     assert done.stderr.splitlines()[-1] == "False"
 
 
-NO_TORCH = """
+NO_EXTRAS = """
 import sys
 class Missing:
     def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] in ("torch", "kornia"):
+        if name.partition(".")[0] in ("torch", "kornia", "pycolmap", "matplotlib", "onnx", "lazy_loader"):
             raise ModuleNotFoundError(f"No module named '{name}'", name=name)
 sys.meta_path.insert(0, Missing())
 from p2o.cli import main
 print(main(sys.argv[1:]))
 """
-"""A program in which PyTorch and kornia are not installed."""
+"""A program in which no package of an extra is installed that some methods or reports import."""
 
 
 @pytest.mark.parametrize(
@@ -119,13 +119,17 @@ print(main(sys.argv[1:]))
         ),
         (("run", "--data", "synthetic:?megapixels=0.1", "--calibrator", "lccnet"), "lccnet' needs the package torch"),
         (("train", "p2ornet", "--data", "synthetic:?megapixels=0.1", "--out", "out"), "needs the package torch"),
+        (("run", "--out", "out"), "0"),
+        (("check", "synthetic:?megapixels=0.1", "--extrinsic", "truth", "--frames", "0"), "0"),
+        (("run", "synthetic:?camera=opencv-distorted&megapixels=0.1"), "0"),
+        (("rig", "sensors.yaml", "--out", "out"), "needs the package matplotlib, which is not installed; run: pip"),
         (("doctor", "--quick"), "0"),
         (("methods", "--matrix"), "0"),
     ],
     ids=lambda value: value[-1] if isinstance(value, tuple) else "",
 )
-def test_without_pytorch_all_but_what_needs_it_works(tmp_path: Path, words: tuple[str, ...], expected: str) -> None:
-    done = subprocess.run([sys.executable, "-c", NO_TORCH, *words], capture_output=True, text=True, cwd=tmp_path)
+def test_without_extras_all_but_what_needs_them_works(tmp_path: Path, words: tuple[str, ...], expected: str) -> None:
+    done = subprocess.run([sys.executable, "-c", NO_EXTRAS, *words], capture_output=True, text=True, cwd=tmp_path)
     assert "Traceback" not in done.stderr
     if expected == "0":
         assert done.stdout.splitlines()[-1] == "0", done.stderr

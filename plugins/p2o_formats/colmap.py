@@ -14,9 +14,8 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from p2o import Camera, Options, UnknownNameError, field, se3
+from p2o import Camera, Options, field, se3
 from p2o.reading import Calibration, FrameName, Reading, Source, plain, quaternion_xyzw, read_pose, spaced
-from p2o.solving import import_keeping_signals
 
 from p2o_formats.format import (
     ONLY_CAMERA,
@@ -42,19 +41,10 @@ class ColmapOptions(Options):
     camera_frame: FrameName = field("camera", help="Name of the camera in the rig, the folder of its images.")
 
 
-def _shifted(model: str, params: tuple[float, ...], by_px: float) -> tuple[float, ...]:
-    """Return camera parameters with the principal point moved by `by_px` pixels along both axes."""
-    pycolmap = import_keeping_signals("pycolmap")
-    if model not in pycolmap.CameraModelId.__members__ or model == "INVALID":
-        raise UnknownNameError("camera model", model, (m for m in pycolmap.CameraModelId.__members__ if m != "INVALID"))
-    indices = set(pycolmap.Camera.create_from_model_name(0, model, 1.0, 10, 10).principal_point_idxs())
-    return tuple(value + by_px if index in indices else value for index, value in enumerate(params))
-
-
 def write_cameras(calibration: Calibration, options: Options) -> bytes:
     """Return the text of cameras.txt with one camera."""
     camera = calibration.intrinsics()
-    params = spaced(_shifted(camera.model, camera.params, 0.5))
+    params = spaced(camera.shifted(0.5).params)
     text = _HEAD + "# Pixels; the centre of the first pixel is at (0.5, 0.5).\n# Number of cameras: 1\n"
     text += "".join(f"{line}\n" for line in comment_lines(calibration))
     return f"{text}1 {camera.model} {camera.width} {camera.height} {params}\n".encode()
@@ -86,7 +76,7 @@ def read_cameras(source: Source, reading: Reading) -> Calibration:
 
 
 def _camera(model: str, size: tuple[int, int], params: Sequence[float]) -> Camera:
-    return Camera(model, *size, _shifted(model, tuple(params), -0.5))
+    return Camera(model, *size, tuple(params)).shifted(-0.5)
 
 
 def write_rig(calibration: Calibration, options: ColmapOptions) -> bytes:
@@ -96,9 +86,8 @@ def write_rig(calibration: Calibration, options: ColmapOptions) -> bytes:
     camera: dict[str, Any] = {"image_prefix": f"{options.camera_frame}/", "cam_from_rig_rotation": [w, x, y, z]}
     camera["cam_from_rig_translation"] = plain(pose[:3, 3])
     if calibration.camera is not None:
-        model = calibration.camera.model
-        camera["camera_model_name"] = model
-        camera["camera_params"] = plain(_shifted(model, calibration.camera.params, 0.5))
+        camera["camera_model_name"] = calibration.camera.model
+        camera["camera_params"] = plain(calibration.camera.shifted(0.5).params)
         camera |= {"width": calibration.camera.width, "height": calibration.camera.height}
     axes = "the camera (x right, y down, z forward); m, w x y z"
     text = f"cam_from_rig maps points of {options.lidar_frame} to {axes}"

@@ -209,9 +209,8 @@ def model(tensors: Mapping[str, _Float32], shape: Shape, size: tuple[int, int]) 
     """
     graph = _Graph(tensors)
     last = network(graph, _normalised(graph, shape, size), shape)
-    picture = tensor(_PICTURE, UINT8, (*size, 3))
-    answer = tensor(last.name, FLOAT, (1, last.parts[0][1], *size))
-    return onnx_model("p2ornet", graph.nodes, graph.constants, (picture, answer), _OPSET)
+    ends = tensor(_PICTURE, UINT8, (*size, 3)), tensor(last.name, FLOAT, (1, last.parts[0][1], *size))
+    return onnx_model("p2ornet", graph.nodes, graph.constants, ends, _OPSET)
 
 
 def _normalised(graph: _Graph, shape: Shape, size: tuple[int, int]) -> _Map:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import copy
 import pickle
+import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from p2o import Camera, InputError, UnknownNameError
+from p2o import Camera, InputError, MethodUnavailable, UnknownNameError
 from p2o.geometry.camera import centre_remark
+from p2o.geometry.projection import LENSES
 
 WIDTH, HEIGHT = 1242, 375
 PARAMS: dict[str, tuple[float, ...]] = {
@@ -264,7 +266,7 @@ def test_a_used_camera_can_be_copied_and_sent_to_another_process(camera: Camera)
 @pytest.mark.parametrize(
     ("model", "width", "height", "params", "text"),
     [
-        ("PINHOLE", 10, 10, (1, 1, 5), "PINHOLE has a different number of parameters; expected fx fy cx cy; got 3"),
+        ("PINHOLE", 10, 10, (1, 1, 5), "PINHOLE has a different number of parameters; expected fx, fy, cx, cy; got 3"),
         ("OPENCV", 10, 10, (1, 1, 5, 5), "OPENCV has a different number of parameters; expected fx, fy, cx, cy, k1"),
         ("PINHOLE", 0, 10, (1, 1, 5, 5), "is not positive; expected positive integers width and height; got 0x10"),
         ("PINHOLE", 10, -3, (1, 1, 5, 5), "is not positive.*10x-3"),
@@ -290,6 +292,16 @@ def test_an_unknown_model_is_refused_with_the_nearest_name() -> None:
         Camera("OPENCV_FISHYEYE", 10, 10, (1, 1, 5, 5, 0, 0, 0, 0))
     with pytest.raises(UnknownNameError, match="INVALID"):
         Camera("INVALID", 10, 10, (1,))
+
+
+def test_without_pycolmap_common_models_work_and_others_say_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pycolmap", None)
+    for name in LENSES:
+        camera = Camera(name, WIDTH, HEIGHT, PARAMS[name])
+        assert np.isfinite(camera.rays(pixels(camera))).any()
+        assert camera.shifted(0.5).resized(99, 30).extent() is not None
+    with pytest.raises(MethodUnavailable, match=r"^camera model FOV needs the package pycolmap.*p2o-calib\[colmap\]"):
+        Camera("FOV", WIDTH, HEIGHT, PARAMS["FOV"])
 
 
 @pytest.mark.parametrize(

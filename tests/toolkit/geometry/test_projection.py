@@ -52,6 +52,27 @@ def test_derivatives_are_the_differences_of_pycolmap(camera: Camera) -> None:
 
 
 @each_lens
+def test_rays_are_those_of_pycolmap_and_lead_back_to_the_pixel(camera: Camera) -> None:
+    """Also of a lens whose projection folds within the image: the pixels without a ray are the same."""
+    for k in (None, -0.35):
+        params = camera.params if k is None else tuple(k if i == 4 else p for i, p in enumerate(camera.params))
+        camera = replace(camera, params=params)
+        uv = np.random.default_rng(0).uniform(0, (camera.width, camera.height), (2000, 2))
+        ours, theirs = camera.rays(uv), by_pycolmap(camera).rays(uv)
+        np.testing.assert_array_equal(np.isnan(ours), np.isnan(theirs))
+        np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-8)
+        known = np.isfinite(ours[:, 0])
+        np.testing.assert_allclose(camera.project(ours[known]), uv[known], rtol=0, atol=1e-9)
+
+
+@each_lens
+def test_the_principal_point_moves(camera: Camera) -> None:
+    at = camera.project(points(camera)[:50])
+    for moved in (camera.shifted(2.5), by_pycolmap(camera).shifted(2.5)):
+        np.testing.assert_allclose(moved.project(points(camera)[:50]), at + 2.5)
+
+
+@each_lens
 def test_another_size_changes_the_same_parameters(camera: Camera) -> None:
     ours, theirs = camera.resized(701, 333), by_pycolmap(camera).resized(701, 333)
     np.testing.assert_allclose(ours.params, theirs.params, rtol=1e-14)

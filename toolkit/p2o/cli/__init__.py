@@ -228,6 +228,13 @@ def _system_hint(number: int | None) -> str:
     return _SYSTEM_HINTS.get(number or 0, "").format(limit=limit)
 
 
+def _package_of(problem: ModuleNotFoundError) -> str:
+    """Return the requirement of p2o or of one of its extras that has a missing module, empty if there is none."""
+    from p2o.host.registry import DISTRIBUTION, requirement_named
+
+    return requirement_named((problem.name or "").partition(".")[0], DISTRIBUTION)
+
+
 def _report(problem: BaseException) -> int:
     """Print an error in one line and return the exit status."""
     if isinstance(problem, P2OError):
@@ -241,6 +248,8 @@ def _report(problem: BaseException) -> int:
     elif isinstance(problem, OSError):
         text = f"{problem.filename or 'system'}: {problem.strerror or problem}"
         text, status = "; ".join(filter(None, (text, _system_hint(problem.errno)))), 2
+    elif isinstance(problem, ModuleNotFoundError) and (package := _package_of(problem)):
+        text, status = f"needs the package {problem.name}, which is not installed; run: pip install {package}", 2
     elif isinstance(problem, MemoryError):
         text, status = "not enough memory; use fewer or smaller frames", 2
     else:

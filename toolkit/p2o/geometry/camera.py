@@ -1,4 +1,4 @@
-"""Camera models: all of pycolmap behind one interface, common ones in closed form (`p2o.geometry.projection`)."""
+"""Camera models: common ones in closed form (`p2o.geometry.projection`), all others of pycolmap (extra `colmap`)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from p2o.arrays import Bool, Float
-from p2o.errors import InputError, UnknownNameError
+from p2o.errors import InputError, MethodUnavailable, UnknownNameError
 from p2o.geometry.projection import LENSES, Projection
 from p2o.runtime.native import import_keeping_signals
 
@@ -37,11 +37,12 @@ _OFF_CENTRE, _SAME_SCALE = 0.2, 0.1
 class Camera:
     """Intrinsics of one camera; pixel centres at integers (docs/conventions.md), optical axis +z, x right, y down.
 
-    `model` is a pycolmap model name (PINHOLE, OPENCV, OPENCV_FISHEYE, ...), `params` its parameters in pycolmap's order
-    but with the principal point in our pixel convention (COLMAP's own files are 0.5 px larger), `width` and `height`
-    the image size in pixels. Equal cameras compare and hash equal. Raises UnknownNameError for an unknown model and
-    InputError for a wrong number of parameters, a size or focal length that is not positive, values that are not finite
-    or too large (more than 30000 px per side or 200 million in all), or a panorama, which has no image plane.
+    `model` is a name of COLMAP (PINHOLE, OPENCV, OPENCV_FISHEYE, ...), `params` its parameters in COLMAP's order but
+    with the principal point in our pixel convention (COLMAP's own files are 0.5 px larger), `width` and `height` the
+    image size in pixels. Equal cameras compare and hash equal. Raises UnknownNameError for an unknown model,
+    MethodUnavailable for one that needs pycolmap where that is not installed, and InputError for a wrong number of
+    parameters, a size or focal length that is not positive, values that are not finite or too large (more than 30000 px
+    per side or 200 million in all), or a panorama, which has no image plane.
     """
 
     model: str
@@ -69,10 +70,10 @@ class Camera:
             expected = f"-{_MAX_PARAMETER:g} to {_MAX_PARAMETER:g}"
             raise InputError("a camera parameter is too large", expected=expected, got=self.params)
         lens = LENSES.get(self.model)
-        if lens is not None and (len(self.params) == lens.count or self.model == _PINHOLE):
-            count_ok, focal = len(self.params) == lens.count, self.params[: lens.focal]
+        if lens is not None:
+            count_ok, focal, names_of = len(self.params) == lens.count, self.params[: lens.focal], lens.names
         else:
-            pycolmap = import_keeping_signals("pycolmap")
+            pycolmap = _pycolmap(self.model)
             names = sorted(m for m in pycolmap.CameraModelId.__members__ if m != "INVALID")
             if self.model not in names:
                 raise UnknownNameError("camera model", self.model, names)
@@ -83,10 +84,10 @@ class Camera:
                 raise InputError(text, expected="a perspective or fisheye model", hint=hint)
             count_ok = len(self.params) == len(blank.params)
             focal = tuple(self.params[i] for i in blank.focal_length_idxs()) if count_ok else ()
+            names_of = blank.params_info
         if not count_ok:
             text = f"camera model {self.model} has a different number of parameters"
-            expected = "fx fy cx cy" if self.model == _PINHOLE else blank.params_info
-            raise InputError(text, expected=expected, got=f"{len(self.params)} numbers")
+            raise InputError(text, expected=names_of, got=f"{len(self.params)} numbers")
         if any(f <= 0 for f in focal):
             raise InputError("the focal length is not positive", expected="> 0 px", got=focal)
         if any(f < _MIN_FOCAL_PX for f in focal):
@@ -113,7 +114,7 @@ class Camera:
 
     @cached_property
     def _colmap(self) -> pycolmap.Camera:
-        pycolmap = import_keeping_signals("pycolmap")
+        pycolmap = _pycolmap(self.model)
         return pycolmap.Camera(model=self.model, width=self.width, height=self.height, params=list(self.params))
 
     @cached_property
@@ -155,17 +156,29 @@ class Camera:
             return True
         return self.model in _TANGENTIAL and not any(self.params[6:8])
 
+    @property
+    def _centre(self) -> list[int]:
+        """Indices of the principal point among the parameters."""
+        focal = 0 if self._closed is None else self._closed.lens.focal
+        return [focal, focal + 1] if focal else list(self._colmap.principal_point_idxs())
+
+    def shifted(self, by_px: float) -> Camera:
+        """Return the camera with its principal point moved by `by_px` pixels along both axes."""
+        params = np.array(self.params)
+        params[self._centre] += by_px
+        return Camera(self.model, self.width, self.height, tuple(params))
+
     def resized(self, width: int, height: int) -> Camera:
         """Return the camera of the image resampled to another size in pixels."""
         grown = np.array([width / self.width, height / self.height])
+        index = self._centre
         if self._closed is not None:
-            focal = self._closed.lens.focal
-            params, index = np.array(self.params), [focal, focal + 1]
+            focal, params = self._closed.lens.focal, np.array(self.params)
             params[:focal] *= grown if focal == 2 else grown.mean()
         else:
             camera = self._colmap.__copy__()
             camera.rescale(width, height)
-            params, index = np.array(camera.params), list(camera.principal_point_idxs())
+            params = np.array(camera.params)
         # COLMAP's origin is the corner of the first pixel.
         before = np.array(self.params)[index] + 0.5
         params[index] = before * grown - 0.5
@@ -273,10 +286,14 @@ class Camera:
             np.divide(uv[..., 0] - cx, fx, out=rays[..., 0])
             np.divide(uv[..., 1] - cy, fy, out=rays[..., 1])
         else:
-            plane = np.asarray(self._colmap.cam_from_img(np.ascontiguousarray(uv.reshape(-1, 2)))).reshape(uv.shape)
-            rays = np.concatenate([plane, np.ones((*plane.shape[:-1], 1))], axis=-1)
-            # Without an inverse pycolmap returns arbitrary values: verify by projecting back to the pixel.
-            with np.errstate(invalid="ignore"):
+            flat, rays = uv.reshape(-1, 2), np.ones((*uv.shape[:-1], 3))
+            # Without an inverse values are arbitrary: verify by projecting back to the pixel.
+            with np.errstate(all="ignore"):
+                if self._closed is not None:
+                    plane = np.stack(self._closed.plane(flat[:, 0], flat[:, 1]), axis=-1)
+                else:
+                    plane = np.asarray(self._colmap.cam_from_img(np.ascontiguousarray(flat)))
+                rays[..., :2] = plane.reshape(uv.shape)
                 is_inverse = np.abs(self.project(rays) - uv).max(axis=-1) < _MAX_ROUND_TRIP_PX
             rays[~is_inverse] = np.nan
         rays /= np.sqrt(np.einsum("...i,...i->...", rays, rays))[..., None]
@@ -312,6 +329,16 @@ def centre_remark(camera: Camera) -> tuple[str, ...]:
         f"the principal point ({x:.4g}, {y:.4g}) is {where} the image of {camera.width}x{camera.height} px: if the "
         f"images were resized, scale fx, fy, cx, cy {scale}",
     )
+
+
+def _pycolmap(model: str) -> Any:
+    """Return pycolmap; raises MethodUnavailable, which names a camera model, where it is not installed."""
+    try:
+        return import_keeping_signals("pycolmap")
+    except ModuleNotFoundError as problem:
+        text = f"camera model {model} needs the package pycolmap, which is not installed"
+        hint = 'run: pip install "p2o-calib[colmap]"'
+        raise MethodUnavailable(text, expected=f"without it {', '.join(LENSES)}", got=model, hint=hint) from problem
 
 
 @cache

@@ -15,6 +15,9 @@ from p2o.arrays import Float
 _ON_AXIS = 1e-6
 """Up to this squared tangent, the derivative of the fisheye factor on the axis is used, because of cancellation."""
 
+_MOST_STEPS, _LEAST_STEP = 50, 1e-13
+"""Newton steps of an inverse projection, and the step below which the next one is not needed."""
+
 
 @dataclass(frozen=True)
 class Lens:
@@ -31,6 +34,14 @@ class Lens:
     below: tuple[int, ...] = ()
     tangential: tuple[int, ...] = ()
     fisheye: bool = False
+
+    @property
+    def names(self) -> str:
+        """Names of the parameters, in their order."""
+        names = {index: f"k{number}" for number, index in enumerate((*self.radial, *self.below), 1)}
+        names |= {index: f"p{number}" for number, index in enumerate(self.tangential, 1)}
+        head = ["f"] if self.focal == 1 else ["fx", "fy"]
+        return ", ".join([*head, "cx", "cy", *(names[index] for index in sorted(names))])
 
 
 LENSES = {
@@ -92,6 +103,37 @@ class Projection:
             both = 2 * p1 * a + 2 * p2 * b
             u_b, v_a = u_b + both, v_a + both
         return fx * u_a, fx * u_b, fy * v_a, fy * v_b
+
+    def plane(self, u: Float, v: Float) -> tuple[Float, Float]:
+        """Return the points a, b of the plane z = 1 that project to pixels u, v (N,): the inverse of `pixels`.
+
+        Newton's method from the undistorted pixels; on the angle from the axis for a fisheye, which is beyond the plane
+        from 90 degrees on. Values are arbitrary for pixels without an inverse.
+        """
+        (fx, fy), (cx, cy) = self.focal, self.centre
+        x, y = (u - cx) / fx, (v - cy) / fy
+        if self.lens.fisheye:
+            radius, (radial, _) = np.hypot(x, y), self._coefficients
+            angle = radius
+            for _ in range(_MOST_STEPS):
+                square = angle * angle
+                value, slope = _polynomial(radial, square), 2 * square * _slope(radial, square)
+                step = (angle * value - radius) / (value + slope)
+                angle = angle - step
+                if not np.abs(step).max(initial=0) > _LEAST_STEP:
+                    break
+            factor = np.where(radius > 0, np.tan(angle) / np.where(radius > 0, radius, 1), 1.0)
+            return x * factor, y * factor
+        a, b = x, y
+        for _ in range(_MOST_STEPS):
+            at_u, at_v = self.pixels(a, b)
+            u_a, u_b, v_a, v_b = self.slopes(a, b)
+            scale, du, dv = u_a * v_b - u_b * v_a, at_u - u, at_v - v
+            step_a, step_b = (v_b * du - u_b * dv) / scale, (u_a * dv - v_a * du) / scale
+            a, b = a - step_a, b - step_b
+            if not max(np.abs(step_a).max(initial=0), np.abs(step_b).max(initial=0)) > _LEAST_STEP:
+                break
+        return a, b
 
     def determinant(self, a: Float, b: Float) -> Float:
         """Return the determinant of the derivatives by a and b at points of the plane z = 1, in px^2."""

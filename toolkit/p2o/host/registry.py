@@ -518,11 +518,11 @@ def _unavailable(offer: Offer, problem: ModuleNotFoundError) -> P2OError:
         return _raised(offer, "importing its own code", problem)
     text = f"{offer.kind} '{offer.name}' needs the package {missing}, which is not installed"
     return MethodUnavailable(
-        text, hint=f"run: pip install {_named_as(missing, offer.dist) or requirement(offer) or missing}"
+        text, hint=f"run: pip install {requirement_named(missing, offer.dist) or requirement(offer) or missing}"
     )
 
 
-def _named_as(module: str, dist: str) -> str:
+def requirement_named(module: str, dist: str) -> str:
     """Return the requirement of a distribution, or of any of its extras, that has the name of a module, in quotes."""
     try:
         texts = [text.partition(";")[0].strip() for text in requires(dist) or []]
