@@ -14,6 +14,7 @@ MARKS = {
     "rows": "<!-- rows: SUITE, SECTION; data: A, B; methods: X, Y -->",
     "record": "<!-- record: NAME; tables: 1, 3 -->",
     "cards": "<!-- cards -->",
+    "methods": "<!-- methods -->",
 }
 """The first line of a part by its kind; only SUITE and NAME are needed."""
 _HEAD = re.compile(rf"^<!-- (?:{'|'.join(MARKS)})\b", re.MULTILINE)
