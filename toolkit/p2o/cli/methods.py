@@ -16,13 +16,18 @@ from p2o.cli.plugin_options import load, plugin_options
 if TYPE_CHECKING:
     from p2o.host.registry import Offer, Registry
     from p2o.options import Options
+    from p2o.run.overview import MethodFacts
 
 _PIPELINE = "pipeline"
 
 
 @click.command("methods")
 @click.argument("name", required=False, shell_complete=complete_methods(published=True))
-@click.option("--matrix", is_flag=True, help="Show which extractors, matchers and solvers are compatible.")
+@click.option(
+    "--matrix",
+    is_flag=True,
+    help="Show what published methods need, are for and reach, and which extractors, matchers and solvers fit.",
+)
 @plugin_options
 def command(name: str | None, matrix: bool, plugin: tuple[str, ...], block: tuple[str, ...]) -> int:
     """List the installed methods, or explain one with all its options.
@@ -31,6 +36,7 @@ def command(name: str | None, matrix: bool, plugin: tuple[str, ...], block: tupl
     name@distribution if two plugins offer it. `pipeline` explains the options of the rounds of extraction, matching and
     solving.
     """
+    from p2o.run.overview import method_facts
     from p2o.run.presets import presets
 
     registry = load(plugin, block)
@@ -43,9 +49,10 @@ def command(name: str | None, matrix: bool, plugin: tuple[str, ...], block: tupl
             else []
         )
         named = [o for o in registry.offers if o.name == name] if ours else registry.named(name)
-        click.echo("\n\n".join([*ours, *map(explained, named)]))
+        facts = [_facts_text(one) for one in method_facts(registry) if one.name == name]
+        click.echo("\n\n".join([*ours, *map(explained, named), *facts]))
     elif matrix:
-        click.echo(fit_matrix(registry))
+        click.echo("\n\n".join(filter(None, (facts_table(registry), fit_matrix(registry)))))
     else:
         click.echo(listed(registry))
     return 0
@@ -154,6 +161,18 @@ def _bounds_text(rules: Iterable[Any]) -> str:
     """Return the bounds of a number as text, such as `>= 0, < 90`."""
     limits = ((sign, getattr(rule, word, None)) for rule in rules for word, sign in _SIGNS.items())
     return ", ".join(f"{sign} {value:g}" for sign, value in limits if value is not None)
+
+
+def facts_table(registry: Registry) -> str:
+    """Return what published methods need and are for, and their errors, measured here and published."""
+    from p2o.run.overview import method_facts
+
+    return "\n".join(_facts_text(one) for one in method_facts(registry))
+
+
+def _facts_text(one: MethodFacts) -> str:
+    facts = {"needs": one.needs_text, "for": one.use, "measured": one.measured, "published": one.published}
+    return "\n".join([f"{one.name} ({one.paper})", *(f"  {name:<9} {text}" for name, text in facts.items())])
 
 
 def fit_matrix(registry: Registry) -> str:

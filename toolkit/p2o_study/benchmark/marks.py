@@ -15,6 +15,7 @@ MARKS = {
     "record": "<!-- record: NAME; tables: 1, 3 -->",
     "cards": "<!-- cards -->",
     "published": "<!-- published: SUITE, SECTION -->",
+    "methods": "<!-- methods -->",
 }
 """The first line of a part by its kind; only SUITE and NAME are needed."""
 _HEAD = re.compile(rf"^<!-- (?:{'|'.join(MARKS)})\b", re.MULTILINE)

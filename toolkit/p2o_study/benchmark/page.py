@@ -15,15 +15,14 @@ from p2o.draw.image_uri import jpeg_uri
 from p2o.errors import P2OError
 from p2o.files.whole_file import write_whole
 from p2o.host.registry import Registry
-from p2o.host.slots import KIND_OF
 from p2o.page import page as html
 from p2o.page.page import Block, Column, brief, cell
 from p2o.page.plot import plot_of_table, table_panel
-from p2o.run.fit import FRAME_CONTENT
 from p2o.run.recipe import Recipe
 from p2o.run.words import split_data
 
 from p2o_study.benchmark.lines import read_lines
+from p2o_study.benchmark.overview import needs_of
 from p2o_study.benchmark.suite import Suite
 from p2o_study.benchmark.tables import NOTE
 from p2o_study.compare import family_of
@@ -419,5 +418,4 @@ def _family_and_needs(method: Method, registry: Registry) -> tuple[str, list[str
         plan = Recipe.of(**method.words).resolve(registry)
     except P2OError:
         return UNKNOWN, []
-    needs = {word for stage, part in plan.parts.items() if stage in KIND_OF for word in part.offer.method.needs}
-    return family_of(plan), sorted(needs & FRAME_CONTENT.keys())
+    return family_of(plan), needs_of(plan)

@@ -523,31 +523,39 @@ def docs(bench: _Bench, pages: tuple[str, ...], check: bool, cards: str) -> int:
     A table is marked by the lines `<!-- rows: SUITE -->`, or
     `<!-- rows: SUITE, SECTION; data: A, B; methods: X, Y -->`, and `<!-- /rows -->`; a record by
     `<!-- record: NAME -->` and `<!-- /record -->`; the cards by `<!-- cards -->` and `<!-- /cards -->`; figures that a
-    suite quotes by `<!-- published: SUITE, SECTION -->` and `<!-- /published -->`.
+    suite quotes by `<!-- published: SUITE, SECTION -->` and `<!-- /published -->`; the methods of
+    installed packages by `<!-- methods -->` and `<!-- /methods -->`. Without FILE.md it also writes the figures that
+    `p2o methods --matrix` prints.
     """
     from p2o.files.input_file import read_text
     from p2o.files.whole_file import write_whole
 
     from p2o_study.benchmark.card import page_text, read_cards
     from p2o_study.benchmark.marks import rendered
+    from p2o_study.benchmark.overview import overview_files, overview_text
     from p2o_study.benchmark.published import published_text
     from p2o_study.benchmark.record import record_text
     from p2o_study.benchmark.tables import rows_text
 
+    tables, registry = bench.tables(), bench.plugins.registry()
     writers = {
-        "rows": rows_text(bench.tables()),
+        "rows": rows_text(tables),
         "record": record_text(Path(bench.results)),
         "cards": lambda *_: page_text(read_cards(Path(cards))),
         "published": published_text(bench.open),
+        "methods": lambda *_: overview_text(registry, tables),
     }
+    paths = [Path(page) for page in pages] or [Path("README.md"), *sorted(Path("docs").rglob("*.md"))]
+    before = {path: read_text(path, "page") for path in paths}
+    after = {path: rendered(text, str(path), writers) for path, text in before.items()}
+    for path, text in () if pages else overview_files(registry, tables).items():
+        before[path], after[path] = read_text(path, "page") if path.exists() else "", text
     different = 0
-    for path in [Path(page) for page in pages] or [Path("README.md"), *sorted(Path("docs").rglob("*.md"))]:
-        before = read_text(path, "page")
-        after = rendered(before, str(path), writers)
-        if after != before:
+    for path, text in after.items():
+        if text != before[path]:
             different += 1
             click.echo(f"{path}: {'differs from rows, records or cards' if check else 'written'}")
             if not check:
-                write_whole(path, after.encode())
+                write_whole(path, text.encode())
     click.echo(f"{different} pages {'differ' if check else 'changed'}")
     return 1 if check and different else 0
