@@ -322,7 +322,8 @@ def starts(bench: _Bench, suite: str, out: str, program: str | None, section: st
     form = None if program is None else find_form(program, bench.plugins.registry())
     known = _starts(bench.open(suite), bench, section)
     if form is not None:
-        click.echo(f"wrote {out}: {write_inputs(Path(out), known, form)} folders; in each of them run: {form.run}")
+        count = write_inputs(Path(out), known, form)
+        click.echo(printable(f"wrote {out}: {count} folders; in each of them run: {form.run}"))
         return 0
     write_whole(out, starts_csv(known).encode())
     click.echo(f"wrote {out}: {len(known)} initial guesses")
