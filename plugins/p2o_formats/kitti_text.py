@@ -1,4 +1,4 @@
-"""Read and write calibration files of KITTI: three layouts of the extrinsic, and cameras P0 to P3, K_0x, P_rect_0x.
+"""Read and write calibration files of KITTI: four layouts of the extrinsic, and cameras P0 to P3, K_0x, P_rect_0x.
 
 Source: Geiger et al., IJRR 2013, and the readmes of KITTI's development kits. All transforms map LiDAR coordinates to
 camera coordinates. p2o writes camera_from_lidar of the camera itself, in metres, row by row, with 17 digits. KITTI's
@@ -19,7 +19,7 @@ from p2o_formats.camera_entry import skew_remarks
 from p2o_formats.format import ONLY_EXTRINSIC, Format, size_of
 from p2o_formats.kitti_calibration import KittiCalibration, calibration_of, rectified_camera, rectified_extrinsic
 
-Layout = Literal["object", "raw", "odometry"]
+Layout = Literal["object", "raw", "odometry", "tracking"]
 _LINE = re.compile(
     r"^(?:(?:Tr_velo_to_cam|Tr_velo_cam|Tr|R|P[0-3]|P_rect_0[0-3]|K_0[0-3]):|(?:Tr_velo_cam|R_rect) +[-+\d.])",
     re.MULTILINE,
@@ -33,11 +33,12 @@ class KittiOptions(Options):
 
 
 def calibration_text(camera_from_lidar: Float, layout: Layout) -> str:
-    """Return the lines "key: numbers" of a transform (4, 4) in a layout."""
+    """Return the lines "key: numbers" of a transform (4, 4) in a layout; those of tracking have no colon."""
     rotation, translation, both = camera_from_lidar[:3, :3], camera_from_lidar[:3, 3], camera_from_lidar[:3]
-    layouts = {"object": {"R0_rect": np.eye(3), "Tr_velo_to_cam": both}, "raw": {"R": rotation, "T": translation}}
-    lines = layouts.get(layout, {"Tr": both})
-    return "".join(f"{key}: {' '.join(f'{v:.16e}' for v in values.ravel())}\n" for key, values in lines.items())
+    layouts = {"object": {"R0_rect:": np.eye(3), "Tr_velo_to_cam:": both}, "raw": {"R:": rotation, "T:": translation}}
+    layouts |= {"odometry": {"Tr:": both}, "tracking": {"R_rect": np.eye(3), "Tr_velo_cam": both}}
+    lines = layouts[layout]
+    return "".join(f"{key} {' '.join(f'{v:.16e}' for v in values.ravel())}\n" for key, values in lines.items())
 
 
 def write(calibration: Calibration, options: KittiOptions) -> bytes:

@@ -1,8 +1,9 @@
-"""Read and write static transforms of ROS: a command, a Python launch file, or a fixed joint of URDF or xacro.
+"""Read and write static transforms of ROS 1 and 2: commands, launch files, or a fixed joint of URDF or xacro.
 
-Written are the arguments of tf2_ros's static_transform_publisher (Humble and later), the launch API of ROS 2, and the
-joint element of URDF. A transform of ROS is parent_from_child: it maps points of the child frame to the parent frame.
-URDF has no quaternions; its rpy are about fixed axes, R = Rz(yaw) Ry(pitch) Rx(roll). `tf_sources` lists what is read.
+Written are the arguments of tf2_ros's static_transform_publisher (Humble and later), the launch API of ROS 2, the
+positional arguments of ROS 1 with a quaternion, and the joint element of URDF. A transform of ROS is parent_from_child:
+it maps points of the child frame to the parent frame. URDF has no quaternions; its rpy are about fixed axes,
+R = Rz(yaw) Ry(pitch) Rx(roll). `tf_sources` lists what is read.
 """
 
 from __future__ import annotations
@@ -21,8 +22,10 @@ from p2o_formats.tf_sources import FRAMES, POSITION, PUBLISHER, QUATERNION, edge
 class RosOptions(Options):
     """Form of the file, and its frames."""
 
-    form: Literal["command", "launch", "urdf"] = field(
-        "command", help="A shell command, a Python launch file, or a fixed joint for URDF and xacro."
+    form: Literal["command", "launch", "ros1-command", "ros1-launch", "urdf"] = field(
+        "command",
+        help="A shell command or a Python launch file, those of ROS 1 (launch file in XML), or a fixed joint for URDF "
+        "and xacro.",
     )
     lidar_frame: FrameName = field("lidar", help="Name of the LiDAR's frame.")
     camera_frame: FrameName = field(
@@ -42,7 +45,7 @@ def write(calibration: Calibration, options: RosOptions) -> bytes:
     parent, child = names if by_lidar else names[::-1]
     rotation = "roll pitch yaw in rad about fixed axes" if options.form == "urdf" else "quaternion x y z w"
     remarks = (
-        f"Static transform of ROS 2: {'lidar_from_camera' if by_lidar else 'camera_from_lidar'}, parent from child.",
+        f"Static transform of ROS: {'lidar_from_camera' if by_lidar else 'camera_from_lidar'}, parent from child.",
         f"It maps points of {child} to {parent}. Metres; rotation as {rotation}.",
         f"Axes of {options.camera_frame}: {axes}. Axes of {options.lidar_frame}: those of its points.",
         *filter(None, (calibration.comment,)),
@@ -51,15 +54,19 @@ def write(calibration: Calibration, options: RosOptions) -> bytes:
     values = (*xyz.split(), *map(digits, quaternion_xyzw(transform)), parent, child)
     words = [(f"--{key}", value) for key, value in zip((*POSITION, *QUATERNION, *FRAMES), values, strict=True)]
     comment = "".join(f"# {remark}\n" for remark in remarks)
+    in_xml = "".join(f"  <!-- {remark} -->\n" for remark in remarks)
     if options.form == "command":
         text = comment + f"ros2 run tf2_ros {PUBLISHER} {' '.join(f'{k} {v}' for k, v in words)}\n"
     elif options.form == "launch":
         arguments = "".join(f'                    "{key}", "{value}",\n' for key, value in words)
         text = comment + _LAUNCH.format(arguments=arguments)
+    elif options.form == "ros1-command":
+        text = comment + f"rosrun tf2_ros {PUBLISHER} {' '.join(values)}\n"
+    elif options.form == "ros1-launch":
+        text = _ROS_1_LAUNCH.format(comment=in_xml, child=child.replace("/", "_"), arguments=" ".join(values))
     else:
-        comment = "".join(f"  <!-- {remark} -->\n" for remark in remarks)
         rpy = spaced(rpy_of(transform[:3, :3]))
-        text = _URDF.format(comment=comment, parent=parent, child=child, xyz=xyz, rpy=rpy)
+        text = _URDF.format(comment=in_xml, parent=parent, child=child, xyz=xyz, rpy=rpy)
     return text.encode()
 
 
@@ -79,6 +86,12 @@ def generate_launch_description():
             )
         ]
     )
+"""
+
+_ROS_1_LAUNCH = """\
+<launch>
+{comment}  <node pkg="tf2_ros" type="static_transform_publisher" name="{child}_publisher" args="{arguments}"/>
+</launch>
 """
 
 _URDF = """\

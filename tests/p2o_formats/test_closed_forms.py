@@ -66,6 +66,17 @@ def test_the_launch_file_is_python_with_the_arguments_of_the_command() -> None:
         assert f'"{key}", "{value}"' in text
 
 
+def test_ros_1_gets_position_quaternion_parent_and_child_in_this_order() -> None:
+    """A camera 0.3 m ahead is a child of the LiDAR: lidar_from_camera."""
+    [node] = ElementTree.fromstring(written("ros2", Calibration(None, AHEAD), form="ros1-launch")).findall("node")
+    assert (node.get("pkg"), node.get("type")) == ("tf2_ros", "static_transform_publisher")
+    words = shlex.split(written("ros2", Calibration(None, AHEAD), form="ros1-command"), comments=True)
+    assert words[:3] == ["rosrun", "tf2_ros", "static_transform_publisher"]
+    assert node.get("args", "").split() == words[3:]
+    np.testing.assert_allclose([float(word) for word in words[3:10]], [0.3, 0, 0, -0.5, 0.5, -0.5, 0.5], atol=1e-15)
+    assert words[10:] == ["lidar", "camera_optical_frame"]
+
+
 def test_the_joint_of_urdf_has_the_angles_of_an_optical_frame() -> None:
     joint = ElementTree.fromstring(written("ros2", Calibration(None, AHEAD), form="urdf")).find("joint")
     origin, parent = joint.find("origin"), joint.find("parent")

@@ -20,14 +20,15 @@ TRANSFORMS = [
     *((form.name, {}) for form in WRITERS if EXTRINSIC in form.holds),
     *(
         ("ros2", {"form": form, "parent": parent})
-        for form in ("command", "launch", "urdf")
+        for form in ("command", "launch", "ros1-command", "ros1-launch", "urdf")
         for parent in ("lidar", "camera")
     ),
     ("ros2", {"form": "urdf", "camera_frame": "front/camera_link"}),
+    ("ros2", {"form": "ros1-launch", "camera_frame": "front/camera_link"}),
     ("ros2", {"form": "command", "camera_frame": "cam0", "lidar_frame": "velodyne"}),
     ("autoware", {"base_from_lidar": (0.5, -0.2, 1.1, 0.1, -0.2, 3.0)}),
     ("autoware", {"camera_frame": "camera3/camera_optical_link", "lidar_frame": "livox_front"}),
-    *(("kitti", {"layout": layout}) for layout in ("object", "raw", "odometry")),
+    *(("kitti", {"layout": layout}) for layout in ("object", "raw", "odometry", "tracking")),
     ("matrix", {"direction": "lidar_from_camera"}),
     ("fast-livo", {"layout": "config"}),
 ]
