@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from p2o.runtime.lazy import attach
+from p2o.runtime.lazy import attach as attach
 
 if TYPE_CHECKING:
     from p2o import reading as reading, solving as solving

@@ -7,10 +7,10 @@ the outline is an occlusion edge against a background at infinity.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
-from p2o import Bool, Float, Int
-from scipy import ndimage
+from p2o import Bool, Float, Int, UInt8
 
 from p2o_plugins.cloud.sweep import TURN, Single, Sweep
 
@@ -94,15 +94,27 @@ def _sky(sweep: Sweep, rings: int) -> Bool:
     These are cells without returns that are connected with cells of the highest ring by more than a crack, and the
     columns beside them, because outlines may be inclined.
     """
+    import cv2
+
     free = ~_met(sweep, rings)
     wide = np.concatenate([free[:, -_CRACK:], free, free[:, :_CRACK]], axis=1)
-    wide = ndimage.binary_opening(np.pad(wide, ((1, 1), (0, 0)), mode="edge"), np.ones((2, _CRACK), bool))[1:-1]
-    label, _ = ndimage.label(wide)
+    _, label = cv2.connectedComponents(_opened(np.pad(wide, ((1, 1), (0, 0)), mode="edge"))[1:-1], connectivity=4)
     top = np.unique(label[0])
     sky = np.isin(label, top[top > 0])
     # Connect the components across the azimuth seam.
     sky = (sky | np.roll(sky, _COLUMNS_A_TURN, axis=1) | np.roll(sky, -_COLUMNS_A_TURN, axis=1))[:, _CRACK:-_CRACK]
-    return ndimage.binary_dilation(sky, np.ones((1, 3), bool))
+    return np.asarray(cv2.dilate(sky.astype(np.uint8), np.ones((1, 3), np.uint8)), bool)
+
+
+def _opened(mask: Bool) -> UInt8:
+    """Return the union of the rectangles of two rings and `_CRACK` columns that lie within a mask, as 0 and 1."""
+    import cv2
+
+    kernel = np.ones((2, _CRACK), np.uint8)
+    # Each corner is marked whose rectangle is within the mask, and then the rectangle of each mark.
+    outside: dict[str, Any] = {"borderType": cv2.BORDER_CONSTANT, "borderValue": 0}
+    corners = cv2.erode(mask.astype(np.uint8), kernel, anchor=(0, 0), **outside)
+    return np.asarray(cv2.dilate(corners, kernel, anchor=(_CRACK - 1, 1), **outside))
 
 
 def _filled_below(sweep: Sweep, rings: int) -> Bool:

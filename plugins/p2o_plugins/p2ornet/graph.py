@@ -17,7 +17,7 @@ from p2o import Float, UInt8
 from p2o.solving import cores
 
 from p2o_plugins.p2ornet.design import CLASSES, INFINITY, PLANS, Conv, Shape, network
-from p2o_plugins.p2ornet.onnx_file import FLOAT, UINT8, constant, node, tensor
+from p2o_plugins.p2ornet.onnx_file import FLOAT, UINT8, Message, constant, node, tensor
 from p2o_plugins.p2ornet.onnx_file import model as onnx_model
 
 _Float32 = NDArray[np.float32]
@@ -98,8 +98,8 @@ class _Graph:
 
     def __init__(self, tensors: Mapping[str, _Float32]) -> None:
         self.tensors = tensors
-        self.nodes: list[bytes] = []
-        self.constants: list[bytes] = []
+        self.nodes: list[Message] = []
+        self.constants: list[Message] = []
 
     def node(self, kind: str, *inputs: str, **attributes: Any) -> str:
         """Add a node with one output, and return that one's name."""

@@ -14,16 +14,16 @@ from p2o_plugins.p2ornet.design import PLANS, Shape, tensor_sizes
 def test_integers_and_texts_of_any_length(length: int) -> None:
     wanted = helper.make_node("Kind", ["a" * min(length, 20000)], ["b"], axis=length, sizes=[length, 7], mode="CRD")
     made = onnx_file.node("Kind", ["a" * min(length, 20000)], "b", axis=length, sizes=[length, 7], mode="CRD")
-    assert made == wanted.SerializeToString(deterministic=True)
+    assert b"".join(made) == wanted.SerializeToString(deterministic=True)
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.uint8, np.int64])
 @pytest.mark.parametrize("size", [(), (3,), (2, 300, 1)])
 def test_constants(kind: type, size: tuple[int, ...]) -> None:
     values = np.arange(np.prod(size, dtype=int)).reshape(size).astype(kind)
-    made = TensorProto.FromString(onnx_file.constant("c0", values))
+    made = TensorProto.FromString(b"".join(onnx_file.constant("c0", values)))
     assert made == numpy_helper.from_array(np.ascontiguousarray(values), "c0")
-    turned = TensorProto.FromString(onnx_file.constant("c0", values.T))
+    turned = TensorProto.FromString(b"".join(onnx_file.constant("c0", values.T)))
     np.testing.assert_array_equal(numpy_helper.to_array(turned), np.atleast_1d(values.T))
 
 

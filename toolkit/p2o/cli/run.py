@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from p2o.host.registry import Registry
     from p2o.host.stages import Exporter
     from p2o.results.result import Result, RigResult
+    from p2o.run.isolated import IsolatedCalibration
     from p2o.run.outcome import FailedFrame, Row, Run
     from p2o.run.recipe import Plan
     from p2o.run.run import Progress
@@ -340,7 +341,6 @@ def _calibrated(
 
     `isolate` are plugins to leave out and files of plugins for a worker process, None for this process.
     """
-    from p2o.run.isolated import isolated
     from p2o.run.outcome import Run
     from p2o.run.protocol import protocol_of
     from p2o.run.run import run
@@ -349,7 +349,11 @@ def _calibrated(
     problem: Exception | None = None
     names = (f"{stage} {plan.parts[stage].offer.name}" for stage in _SLOW if stage in plan.parts)
     methods = ", ".join(names)
-    by = contextlib.nullcontext(None) if isolate is None else isolated(plan.recipe, *isolate)
+    by: contextlib.AbstractContextManager[IsolatedCalibration | None] = contextlib.nullcontext()
+    if isolate is not None:
+        from p2o.run.isolated import isolated
+
+        by = isolated(plan.recipe, *isolate)
     with by as apart, status_line("starting") as show, long_work(show, f" ({methods})") as work:
 
         def on_progress(progress: Progress) -> None:

@@ -23,7 +23,6 @@ from p2o.confidence.accuracy import (
     predicted_covariance,
     with_start,
 )
-from p2o.confidence.audit import Evidence, Rates, audit
 from p2o.confidence.verdict import (
     MIN_PLACES,
     accuracy_doubts,
@@ -41,7 +40,6 @@ from p2o.problems.agreement import agreement_of
 from p2o.problems.distinct_views import scenes_of, view_count
 from p2o.problems.normal_equations import own_covariance
 from p2o.problems.pairing import edge_pairs
-from p2o.results.check import CheckStatus
 from p2o.results.evidence import Accuracy, Agreement, Judged, StartWeight
 from p2o.results.result import Result, Round, Status
 from p2o.results.verdict import Doubt, Reason, Verdict
@@ -262,6 +260,9 @@ def witnessed(
 
 def _position_doubts(result: Result, views: Sequence[View], algorithm: Algorithm) -> list[Reason]:
     """Return a reason for doubt where edges ask for a large and significant correction of the pose."""
+    from p2o.confidence.audit import Evidence, Rates, audit
+    from p2o.results.check import CheckStatus
+
     check = audit(Evidence.of(views, result.camera_from_lidar, algorithm), Rates())
     if check.holding is not CheckStatus.OFF or check.estimate is None:
         return []

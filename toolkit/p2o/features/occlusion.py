@@ -12,7 +12,6 @@ from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-from scipy import ndimage
 
 from p2o.arrays import Bool, Float, Int, Int8, checked
 from p2o.errors import InputError
@@ -231,6 +230,8 @@ def side_maps(orders: Orders) -> Bool:
 
 def without_short(maps: Bool, min_length_px: int) -> Bool:
     """Return maps (K, H, W) without 8-connected components of fewer than `min_length_px` pixels, for each map."""
+    from scipy import ndimage
+
     flat_neighbours = np.zeros((3, 3, 3), bool)
     flat_neighbours[1] = True
     label, _ = ndimage.label(maps, structure=flat_neighbours)

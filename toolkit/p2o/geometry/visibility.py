@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import minimum_filter
 
 from p2o.arrays import Bool, Float
 from p2o.geometry import se3
@@ -18,6 +17,8 @@ def hidden(xyz: Float, surface: Float, camera: Camera, camera_from_lidar: Float,
     The outcome depends much more on the position of the camera than on its orientation, so an approximate extrinsic is
     sufficient.
     """
+    import cv2
+
     points = se3.apply(camera_from_lidar, xyz)
     samples = se3.apply(camera_from_lidar, surface)
     shape = (int(camera.height // cell_px) + 1, int(camera.width // cell_px) + 1)
@@ -27,8 +28,11 @@ def hidden(xyz: Float, surface: Float, camera: Camera, camera_from_lidar: Float,
     rows, columns = _cells(uv[visible], cell_px, shape)
     np.minimum.at(nearest, (rows, columns), np.linalg.norm(samples[visible], axis=1))
     # Windows of three cells to one side and three rows; the shift excludes the point's own cell.
-    left = minimum_filter(nearest, size=(3, 3), origin=(0, 1), mode="constant", cval=np.inf)
-    right = minimum_filter(nearest, size=(3, 3), origin=(0, -1), mode="constant", cval=np.inf)
+    window = np.ones((3, 3), np.uint8)
+    left, right = (
+        cv2.erode(nearest, window, anchor=(column, 1), borderType=cv2.BORDER_CONSTANT, borderValue=np.inf)
+        for column in (2, 0)
+    )
     left = np.roll(left, 1, axis=1)
     right = np.roll(right, -1, axis=1)
     left[:, 0], right[:, -1] = np.inf, np.inf

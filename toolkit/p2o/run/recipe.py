@@ -19,7 +19,6 @@ from p2o.options import Options, validated
 from p2o.run.fit import check_fit, contents_of, misfit_of, suggest_alternative
 from p2o.run.part import Part as Part
 from p2o.run.part import part_of
-from p2o.run.rig import Rig
 from p2o.run.words import split_data, split_name
 
 if TYPE_CHECKING:
@@ -30,6 +29,7 @@ if TYPE_CHECKING:
     from p2o.run.assembly import Assembly
     from p2o.run.joined import JoinedFrames
     from p2o.run.pipeline import Pipeline
+    from p2o.run.rig import Rig
 
 
 MOST_SEED = 2**63 - 1
@@ -88,11 +88,18 @@ class Recipe(BaseModel):
         parts |= _witness(self, parts, registry) | _wide(self, registry)
         pipeline = self._pipeline(parts)
         check_fit({stage: part.offer for stage, part in parts.items()}, registry)
-        rig = Rig.of(self.rig, registry)
+        rig = self._rig(registry)
         if rig is not None and self.joint:
             expected = "no --joint beside it: the frames of a camera are solved together in any case"
             raise InputError("a rig has one result for each camera", where="--rig", expected=expected)
         return Plan(self, parts, pipeline, registry, rig, guess)
+
+    def _rig(self, registry: Registry) -> Rig | None:
+        if self.rig is False:
+            return None
+        from p2o.run.rig import Rig
+
+        return Rig.of(self.rig, registry)
 
     def _initial_guess(self, registry: Registry) -> InitialGuess | None:
         """Return the initial guess of `start`; raises InputError for one beside a perturbation, or a bad one."""

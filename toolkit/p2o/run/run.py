@@ -7,10 +7,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from p2o.arrays import Float
-from p2o.confidence.fusion import rig_result
 from p2o.errors import InputError, P2OError, PluginError
 from p2o.frames.frame import Dataset, Frame
 from p2o.frames.selection import select
@@ -25,11 +24,12 @@ from p2o.run.presets import preset_of
 from p2o.run.protocol import protocol_of
 from p2o.run.read_again import MAX_FRAMES_IN_MEMORY, ReadAgain, frame_infos, without_truth
 from p2o.run.recipe import Plan, Recipe
-from p2o.run.rig_motion import CameraSweeps, with_common_motions
-from p2o.run.rig_solve import RigCameraFrames, solve_rig
 from p2o.run.words import parse_settings
 from p2o.runtime.native import for_each
 from p2o.runtime.stages import counted
+
+if TYPE_CHECKING:
+    from p2o.run.rig_solve import RigCameraFrames
 
 _T = TypeVar("_T")
 Frames = Sequence[Frame] | Dataset
@@ -56,7 +56,7 @@ class Progress:
 OnProgress = Callable[[Progress], None]
 OnNames = Callable[[Sequence[str], Sequence[str]], None]
 Calibration = Callable[[Assembly, Sequence[Frame], Float], Result]
-RigCalibration = Callable[[Assembly, Sequence[RigCameraFrames], Mapping[str, Float]], RigResult]
+RigCalibration = Callable[[Assembly, Sequence["RigCameraFrames"], Mapping[str, Float]], RigResult]
 
 
 def calibrate(
@@ -130,7 +130,7 @@ def run(
     on_progress: OnProgress | None = None,
     on_names: OnNames | None = None,
     calibration: Calibration = Assembly.__call__,
-    rig_calibration: RigCalibration = solve_rig,
+    rig_calibration: RigCalibration | None = None,
 ) -> Run:
     """Run a resolved recipe on its own dataset, or on `frames`; frames are read one at a time unless joint.
 
@@ -339,6 +339,10 @@ class _Calibrations:
             raise InputError(text, got=self.first_problem) from self.first_problem
 
     def _with_common_motions(self) -> list[Row]:
+        if not self.waiting:
+            return []
+        from p2o.run.rig_motion import CameraSweeps, with_common_motions
+
         def solve(number: int, assembly: Assembly) -> Result:
             return self._row(self.waiting[number][1], assembly).result
 
@@ -349,13 +353,16 @@ class _Calibrations:
             rows.append(replace(row, result=result, error=error))
         return rows
 
-    def common_result(self, camera_from_body: Mapping[str, Float], solve: RigCalibration) -> RigResult | None:
+    def common_result(self, camera_from_body: Mapping[str, Float], solve: RigCalibration | None) -> RigResult | None:
         """Return the common result of the cameras of a rig with places (4, 4); the mean if a plugin fails.
 
         None for a rig without places.
         """
         if not camera_from_body:
             return None
+        from p2o.confidence.fusion import rig_result
+        from p2o.run.rig_solve import RigCameraFrames, solve_rig
+
         results = {row.camera: row.result for row in self.rows}
         cameras = [
             RigCameraFrames(name, without_truth(self.frames[name]), place, results[name])
@@ -363,7 +370,7 @@ class _Calibrations:
             if name in results
         ]
         try:
-            return solve(self.assembly, cameras, camera_from_body)
+            return (solve or solve_rig)(self.assembly, cameras, camera_from_body)
         except PluginError as problem:
             if _strict():
                 raise
