@@ -77,15 +77,15 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 def compared(root: Path) -> Path:
     """Return the page of a comparison of hostile names."""
-    from p2o_study.compare import Comparison, Outcome
+    from p2o_study.compare import Comparison
     from p2o_study.comparison import Standing
     from p2o_study.report.comparison_page import comparison_page
-    from p2o_study.statistics import Interval
+    from p2o_study.statistics import Interval, Statistics
 
     figures = {f"repeatability_{unit}": Interval(0.5, 0.4, 0.6) for unit in ("deg", "m")} | {"edges": Interval(2.0)}
     names = [HOSTILE, *(f"method {number}" for number in range(12))]
     ranking = [Standing(name, "edges", 1, 0.0, 0.0, figures) for name in names]
-    outcomes = {name: Outcome(9, 8, 0, 1.5, 0.2, 0.01) for name in names}
+    outcomes = {name: Statistics(()) for name in names}
     distances = [(names[0], other, 0.5, 0.02) for other in names[1:]]
     shares = {"edges": dict.fromkeys(names, True)}
     its = Comparison("It <b>is</b> so.", ["\x1b[31m"], 9, 3, "1deg", ranking, [], outcomes, shares, distances)

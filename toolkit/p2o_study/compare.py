@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from p2o.geometry import se3
 from p2o.geometry.perturb import Perturbation, parse_perturbation
 from p2o.host.calibration_file import read_initial_guess
 from p2o.host.registry import Registry
+from p2o.page.page import brief
 from p2o.run.assembly import INPUTS
 from p2o.run.initial_guess import start_of
 from p2o.run.pipeline import Pipeline
@@ -37,7 +38,7 @@ from p2o_study.cells import OpenRow, open_rows
 from p2o_study.comparison import MIN_GROUPS
 from p2o_study.keys import features_key
 from p2o_study.parallel import Workers
-from p2o_study.row import NORMS, Row
+from p2o_study.row import Row
 from p2o_study.statistics import Statistics
 from p2o_study.study import Study, check_study, study_of
 from p2o_study.worker import FrameRecord, Plugins, ReadJob, Source
@@ -139,27 +140,6 @@ class Guesses:
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
-    """Counts of a method: calibrations, solved and crashed ones, median seconds, and mean errors if known."""
-
-    runs: int
-    solved: int
-    crashed: int
-    seconds: float | None
-    error_deg: float | None = None
-    error_m: float | None = None
-
-    @classmethod
-    def of(cls, rows: Sequence[Row]) -> Outcome:
-        """Return the counts of the rows of a method."""
-        known = Statistics(rows)
-        errors = [known.average(norm) for norm in NORMS if len(known.errors(norm))]
-        return cls(
-            known.count, known.solved, known.crashed, None if np.isnan(known.seconds) else known.seconds, *errors
-        )
-
-
-@dataclass(frozen=True, eq=False)
 class Comparison:
     """The comparison of methods: `ranking` is best first, `unranked` are methods without a single estimate.
 
@@ -174,10 +154,24 @@ class Comparison:
     perturb: str
     ranking: Sequence[figures.Standing]
     unranked: Sequence[str]
-    outcomes: Mapping[str, Outcome]
+    outcomes: Mapping[str, Statistics]
     shares: Mapping[str, Mapping[str, bool]]
     distances: Sequence[tuple[str, str, float, float]]
     interrupted: bool = False
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the comparison for JSON."""
+        outcomes = {
+            name: {
+                **{key: getattr(one, key) for key in ("solved", "crashed", "unmoved")},
+                "runs": one.count,
+                "seconds": brief(one.seconds),
+                "error_deg": brief(one.average("rotation_deg")),
+                "error_m": brief(one.average("translation_m")),
+            }
+            for name, one in self.outcomes.items()
+        }
+        return {**asdict(replace(self, outcomes={})), "outcomes": outcomes, "not_observable": BLIND}
 
 
 def compare(
@@ -316,7 +310,7 @@ def _compared(
         perturb,
         ranking,
         unranked,
-        {name: Outcome.of(own) for name, own in by_name.items()},
+        {name: Statistics(own, name) for name, own in by_name.items()},
         shares,
         distances,
     )

@@ -43,11 +43,11 @@ def curves(lines: Sequence[Statistics], over: Over, *, least: int = 1) -> dict[s
         fixed = f" from {line.rows[0].protocol}" if over == "frames" else size
         key = name.removesuffix(size), f" @ {line.rows[0].dataset}", fixed
         by_key.setdefault(key, []).append(line)
-    differ = [len({key[place] for key in by_key}) > 1 for place in (1, 2)]
+    by_key = {key: own for key, own in by_key.items() if len(set(map(place, own))) == len(own) >= least}
+    differ = [len({key[number] for key in by_key}) > 1 for number in (1, 2)]
     return {
         name + dataset * differ[0] + fixed * differ[1]: sorted(own, key=place)
         for (name, dataset, fixed), own in by_key.items()
-        if len(set(map(place, own))) == len(own) >= least
     }
 
 

@@ -12,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from p2o.errors import UnknownNameError, printable
 from p2o.page.page import TRUST_LOOKS, Column, brief, cell, interval
+from p2o.results.result import SolverStatus
 from p2o.results.verdict import Trust
 from p2o.run.protocol import figures_text, protocol_of
 
@@ -261,18 +262,11 @@ def error_table(
     return Table(caption, ("row", *(entry.header for entry in entries)), tuple(lines))
 
 
-def axis_table(caption: str, group: Group, axes: Sequence[str]) -> Table:
-    """Return the absolute errors by axis: a line of means for each row, and one of medians for measured rows."""
-    header = ("row", "", *(f"{name_of(axis)} [{unit_of(axis)[0]}]" for axis in axes))
-    lines: list[tuple[Cell, ...]] = []
-    for row in group.rows:
-        if isinstance(row, Published):
-            if any(axis in row.values for axis in axes):
-                lines.append((label_cell(row), Cell("mean"), *(_published(row, axis) for axis in axes)))
-            continue
-        for statistic, label in zip(STATISTICS, (Cell(row.title), Cell("")), strict=True):
-            lines.append((label, Cell(statistic), *(_error(row, group.measured, axis, statistic) for axis in axes)))
-    return Table(f"{caption}{_reached(group, axes)}", header, tuple(lines))
+def entries_by_axis(rows: Iterable[Statistics], axes: Sequence[str]) -> list[Entry]:
+    """Return the columns of mean absolute errors by axis, and of their means over the axes of one unit."""
+    means = [metric for metric, of in PER_AXIS.items() if set(of) <= set(axes)]
+    stuck = [figure for figure in figures_of(rows) if figure.name == "not moved"]
+    return [*map(_of_figure, stuck), *(_of_metric(metric, "mean") for metric in (*axes, *means))]
 
 
 def in_unit(value: float | None, metric: str) -> Any:
@@ -331,7 +325,11 @@ def tables_of(group: Group, summary: Summary, columns: Sequence[str] = ()) -> li
         return [error_table(caption, group.rows, entries_of(columns, "--columns"))]
     tables = [
         error_table(caption, group.rows, entries_by_default(group.measured, summary.norms)),
-        axis_table(f"Absolute errors by axis{named}", group, summary.axes),
+        error_table(
+            f"Absolute errors by axis{named}{_reached(group, summary.axes)}",
+            group.rows,
+            entries_by_axis(group.measured, summary.axes),
+        ),
     ]
     pairs = group.comparisons
     caption = f"Rows compared in pairs{named}"
@@ -343,16 +341,18 @@ def terminal_text(summary: Summary, columns: Sequence[str] = ()) -> str:
     statistics = [row for group in summary.groups for row in group.measured]
     figures = figures_of(statistics, _TERMINAL)  # of the whole study
     entries = entries_of(columns, "--columns") or entries_by_default(statistics, summary.norms, figures=figures)
-    errors: list[list[str]] = []
-    by_axis: list[list[str]] = []
-    for group in summary.groups:
-        of_group = error_table(group.heading, group.rows, entries)
-        for table, out in ((of_group, errors), (axis_table(group.heading, group, summary.axes), by_axis)):
-            out += [] if out else [["", *table.header[1:]]]
-            out += [[f"[{group.heading}]"]] if group.heading else []
-            out += [[cell.text for cell in row] for row in table.rows]
-    below = (*summary.pooled, *_unmoved(statistics), *_by_protocol(summary))
-    return "\n".join([*aligned(errors), *(aligned(by_axis) if summary.has_axes else ()), *below])
+    by_axis = [entries_by_axis(statistics, summary.axes)] if summary.has_axes and not columns else []
+    text: list[str] = []
+    for chosen in (entries, *by_axis):
+        lines = [["", *(entry.header for entry in chosen)]]
+        for group in summary.groups:
+            lines += [[f"[{group.heading}]"]] if group.heading else []
+            named = [row.model_copy(update={"source": ""}) if isinstance(row, Published) else row for row in group.rows]
+            lines += [[cell.text for cell in row] for row in error_table("", named, chosen).rows]
+        text += aligned(lines)
+    published = [row for group in summary.groups for row in group.rows if isinstance(row, Published)]
+    sources = [f"{row.label}: {', '.join(filter(None, (row.source, row.start, row.note)))}" for row in published]
+    return "\n".join([*text, *sources, *summary.pooled, *_unmoved(statistics), *_by_protocol(summary)])
 
 
 def aligned(lines: Sequence[Sequence[str]]) -> list[str]:
@@ -419,7 +419,9 @@ def leads(row: Statistics, rows: Sequence[Statistics], metric: str, statistic: S
 
 def label_cell(row: Statistics | Published) -> Cell:
     """Return the cell with the label of a row, and the source of a published one."""
-    return Cell(f"{row.label} (published: {row.source})", "italic") if isinstance(row, Published) else Cell(row.label)
+    if not isinstance(row, Published):
+        return Cell(row.label)
+    return Cell(f"{row.label} (published{f': {row.source}' if row.source else ''})", "italic")
 
 
 def _published(row: Published, metric: str) -> Cell:
@@ -547,11 +549,17 @@ def _run_figure(name: str, metric: str, of: Callable[[Row], float | None], hide:
     return Column(name, *unit_of(metric)[::2], hide=hide, of=lambda run: in_unit(of(run), metric))
 
 
+def _status(run: Row) -> Any:
+    if run.unmoved:
+        return cell(SolverStatus.NOT_MOVED, look="bad")
+    return run.status if run.solved else cell(run.status, look="bad")
+
+
 VERDICT = Column("verdict", text=True, hide=1, order=list(Trust), looks=TRUST_LOOKS, of=lambda run: run.trust)
 RUN_COLUMNS = (
     Column("frame", text=True, hide=0, of=lambda run: run.place),
     Column("seed", hide=4, of=lambda run: run.seed),
-    Column("status", text=True, hide=3, of=lambda run: run.status if run.solved else cell(run.status, look="bad")),
+    Column("status", text=True, hide=3, of=_status),
     VERDICT,
     *(_run_figure(name_of(m), m, methodcaller("error_of", m), 1 if m in NORMS else 5) for m in METRICS),
     *(_run_figure(f"{name_of(norm)} initial", norm, methodcaller("start_error_of", norm), 4) for norm in NORMS),

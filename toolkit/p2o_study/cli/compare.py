@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -69,7 +68,7 @@ def command(
     from p2o.files.whole_file import write_json, write_whole
 
     from p2o_study.ablate import parse_seeds
-    from p2o_study.compare import BLIND, compare, contenders_of
+    from p2o_study.compare import compare, contenders_of
     from p2o_study.parallel import Workers
     from p2o_study.report.comparison_page import comparison_page, comparison_text
     from p2o_study.worker import Plugins
@@ -92,7 +91,7 @@ def command(
         click.echo(f"p2o: interrupted; {len(done.rows)} rows are kept in {out}; the same command continues", err=True)
     if comparison is None:
         return INTERRUPTED
-    plain = {**asdict(comparison), "not_observable": BLIND}
+    plain = comparison.as_dict()
     write_json(Path(out) / "compare.json", plain)
     write_whole(Path(out) / "compare.html", comparison_page(comparison).encode())
     if as_json:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from functools import partial
 from typing import Any
@@ -11,10 +10,11 @@ from p2o.errors import printable
 from p2o.page import page as html
 from p2o.page.page import Column, brief, cell
 
-from p2o_study.compare import BLIND, Comparison, Outcome
+from p2o_study.compare import BLIND, Comparison
 from p2o_study.comparison import Standing
-from p2o_study.statistics import brief_seconds
-from p2o_study.tables import aligned, shown, text_of
+from p2o_study.row import NORMS
+from p2o_study.statistics import Statistics
+from p2o_study.tables import FIGURES, aligned, shown, text_of, unit_of
 
 _LENGTHS = {
     "repeatability": "repeatability",
@@ -42,6 +42,7 @@ _LEGEND = (
 def ranking_columns(comparison: Comparison) -> list[Column]:
     """Return the columns of the ranking."""
     outcomes = comparison.outcomes
+    stuck = any(outcome.unmoved for outcome in outcomes.values())
     columns = [
         Column("method", text=True, hide=0, of=lambda s: s.name),
         Column("group", hide=0, of=lambda s: s.tier),
@@ -58,10 +59,13 @@ def ranking_columns(comparison: Comparison) -> list[Column]:
     ]
     return [
         *columns,
-        Column("failed", hide=1, of=lambda s: _failed(outcomes[s.name])),
-        Column("time", "s", hide=4, of=lambda s: _seconds(outcomes[s.name])),
-        Column(_ERROR, "deg", 3, hide=3, of=lambda s: brief(outcomes[s.name].error_deg)),
-        Column(_ERROR, "cm", 1, hide=3, of=lambda s: brief(100 * (outcomes[s.name].error_m or math.nan))),
+        Column("failed", hide=1, of=lambda s: _figure("not solved", outcomes[s.name])),
+        *([Column("not moved", hide=1, of=lambda s: _figure("not moved", outcomes[s.name]))] if stuck else []),
+        Column("time", "s", hide=4, of=lambda s: _figure("time [s]", outcomes[s.name])),
+        *(
+            Column(_ERROR, *unit_of(norm)[::2], hide=3, of=partial(_error, outcomes=outcomes, norm=norm))
+            for norm in NORMS
+        ),
     ]
 
 
@@ -76,18 +80,18 @@ def _held_out(standing: Standing, judge: str, shared: Mapping[str, bool]) -> Any
     return cell(brief(standing.figures[judge].value), first + "*" * shared[standing.name], *below)
 
 
-def _failed(outcome: Outcome) -> Any:
-    failed = outcome.runs - outcome.solved
-    return cell(failed, f"{failed} of {outcome.runs}" if failed else "0")
+def _figure(name: str, outcome: Statistics) -> Any:
+    of = next(figure.column.of for figure in FIGURES if figure.name == name)
+    return None if of is None else of(outcome)
 
 
-def _seconds(outcome: Outcome) -> Any:
-    return None if outcome.seconds is None else cell(brief(outcome.seconds), brief_seconds(outcome.seconds))
+def _error(standing: Standing, outcomes: Mapping[str, Statistics], norm: str) -> float | None:
+    return brief(unit_of(norm)[1] * outcomes[standing.name].average(norm))
 
 
 def comparison_text(comparison: Comparison) -> str:
     """Return the ranking without intervals, the sentence and the remarks for a terminal."""
-    known = any(outcome.error_deg is not None for outcome in comparison.outcomes.values())
+    known = any(len(outcome.errors(NORMS[0])) for outcome in comparison.outcomes.values())
     left_out = (*_PAGE_ONLY, *(() if known else (_ERROR,)))
     columns = [column for column in ranking_columns(comparison) if column.name not in left_out]
     # Headers of several words take several lines.

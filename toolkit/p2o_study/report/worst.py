@@ -35,6 +35,8 @@ def outcome_text(run: Row) -> str:
         return _sentence(f"The run was refused ({run.status}): {run.reason}") + stays
     if not off:
         parts = ["The error is unknown: there is no ground truth."]
+    elif run.unmoved:
+        parts = [f"The result is the initial guess, error {off}: the solver did not move."]
     elif is_worse(run):
         parts = [f"The result is worse than the initial guess: error {off}{since}."]
     elif is_wrong(run):
