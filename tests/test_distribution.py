@@ -130,10 +130,16 @@ def test_an_index_takes_both(archive: Path, wheel: Path) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-def test_the_container_runs_p2o_as_an_ordinary_user() -> None:
+def test_the_container_runs_the_wheel_as_an_ordinary_user() -> None:
     lines = (ROOT / "Containerfile").read_text(encoding="utf-8").splitlines()
     said = [line for line in lines if line and not line.startswith("#")]
-    assert said[0] == "FROM python:3.11-slim"
+    stages = [number for number, line in enumerate(said) if line.startswith("FROM python:3.11-slim")]
+    assert [said[number] for number in stages] == ["FROM python:3.11-slim AS wheel", "FROM python:3.11-slim"]
+    image = said[stages[-1] :]
+    assert not [line for line in image if line.startswith(("COPY", "ADD"))]
+    [install] = [line for line in " ".join(image).split("RUN ") if "pip install" in line]
+    assert "from=wheel,source=/wheel,target=/wheel" in install
+    assert '"$file$EXTRAS"' in install
     [user] = [line for line in said if line.startswith("USER ")]
     assert user not in ("USER root", "USER 0")
     assert said.index(user) < said.index('ENTRYPOINT ["p2o"]')
