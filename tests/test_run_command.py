@@ -277,6 +277,18 @@ def test_frames_whose_names_are_no_text_are_told_before_any_work() -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT], ids=lambda number: number.name)
 def test_a_request_to_end_keeps_what_is_finished(number: signal.Signals, tmp_path: Path) -> None:
+    assert_ends_when_asked(number, tmp_path)
+
+
+def test_a_process_that_ignores_interrupts_ends_when_terminated(tmp_path: Path) -> None:
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # as of a command in the background of a script
+    try:
+        assert_ends_when_asked(signal.SIGTERM, tmp_path)
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def assert_ends_when_asked(number: signal.Signals, tmp_path: Path) -> None:
     words = spy("fake:", "--set", "calibrator.hang_at=1", "--out", str(tmp_path))
     process = subprocess.Popen(
         [sys.executable, "-u", "-m", "p2o", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True

@@ -92,3 +92,7 @@ class PluginError(P2OError):
 
 class MethodUnavailable(P2OError):  # noqa: N818  (a state of the installation, not a defect)
     """A method needs a package that is not installed; the text contains the pip command."""
+
+
+class Terminated(KeyboardInterrupt):
+    """A signal asks the process to end, as Ctrl-C does; unlike KeyboardInterrupt no plugin raises it."""

@@ -19,7 +19,7 @@ import click
 
 from p2o.cli.completion import VARIABLE, answer_shell
 from p2o.cli.json_output import STDOUT, reserved_stdout, wants_json
-from p2o.errors import LONGEST, InputError, P2OError, one_line
+from p2o.errors import LONGEST, InputError, P2OError, Terminated, one_line
 from p2o.runtime.native import keep_freed_memory
 
 _COMMANDS = {
@@ -200,7 +200,7 @@ def _terminated_as_interrupted() -> Iterator[None]:
     """Treat SIGTERM and SIGHUP as Ctrl-C, unless they have a handler."""
 
     def interrupt(number: int, frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
+        raise Terminated
 
     taken = []
     for name in ("SIGTERM", "SIGHUP"):

@@ -23,7 +23,16 @@ from typing import TYPE_CHECKING, Any
 
 import pluggy
 
-from p2o.errors import LONGEST, InputError, MethodUnavailable, P2OError, PluginError, UnknownNameError, one_line
+from p2o.errors import (
+    LONGEST,
+    InputError,
+    MethodUnavailable,
+    P2OError,
+    PluginError,
+    Terminated,
+    UnknownNameError,
+    one_line,
+)
 from p2o.files.input_file import MAX_TEXT_BYTES, expanded, read_bytes
 from p2o.host import hookspecs
 from p2o.host.method import PLUGIN_API, Kind, Method
@@ -409,7 +418,7 @@ def watch(offer: Offer, doing: str) -> Iterator[None]:
             _reported(f"plugin {offer.dist}: {offer.kind} '{offer.name}' ended its process while {doing}"),
         ):
             yield
-    except P2OError:
+    except (P2OError, Terminated):
         raise
     except KeyboardInterrupt as problem:
         if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
