@@ -17,6 +17,7 @@ from p2o_testing import stage
 
 STUDY = find_study("table1", Registry.load())
 NAMES = [f"test{i}" for i in range(1, 6)]
+KINDS = ("", ", network", ", joint")
 
 
 @pytest.mark.parametrize("data", [None, "vkitti2:somewhere?mount=camera"])
@@ -24,14 +25,14 @@ def test_the_rows_are_those_of_the_paper(data: str | None) -> None:
     """Sec. IV-B: 64 beams with 0, 25, 45 % missing edges, doubled noise, 32 beams; alone, and ten frames together."""
     registry = Registry.load()
     rows = check_study(STUDY.overridden([] if data is None else [data]), registry)
-    assert [row.label for row in rows] == NAMES + [f"{name}, joint" for name in NAMES]
-    assert [row.joint for row in rows] == [0] * 5 + [10] * 5
+    assert [row.label for row in rows] == [f"{name}{kind}" for kind in KINDS for name in NAMES]
+    assert [row.joint for row in rows] == [0] * 10 + [10] * 5
     for row, lidar, noise_m, angle_noise_deg, missing in zip(
         rows,
-        (["hdl-64e"] * 4 + ["hdl-32e"]) * 2,
-        [0.02, 0.02, 0.02, 0.04, 0.02] * 2,
-        [0, 0, 0, 0.005, 0] * 2,
-        [0, 0.25, 0.45, 0, 0] * 2,
+        (["hdl-64e"] * 4 + ["hdl-32e"]) * 3,
+        [0.02, 0.02, 0.02, 0.04, 0.02] * 3,
+        [0, 0, 0, 0.005, 0] * 3,
+        [0, 0.25, 0.45, 0, 0] * 3,
         strict=True,
     ):
         plan = row.resolve(registry, row.seeds[0])
@@ -40,7 +41,7 @@ def test_the_rows_are_those_of_the_paper(data: str | None) -> None:
         assert not options.mask_foliage
         assert row.damage(row.seeds[0]).missing_edges == missing
         assert plan.recipe.perturb == "2deg 0.15m"
-        assert plan.recipe.extractor == "depth/rings"
+        assert plan.recipe.extractor == ("p2ornet/rings" if row.label.endswith("network") else "depth/rings")
         assert data is not None or options.scenes >= 40
 
 
@@ -66,8 +67,8 @@ def test_it_prints_means_and_medians_beside_the_papers_and_refused_frames_count(
     assert main([*words, "--out", str(tmp_path / "out")]) == 0
     lines = capsys.readouterr().out.splitlines()
     rows = Rows(tmp_path / "out").planned("table1")
-    assert len(rows) == 5 * 3 + 5 * 3, "three frames alone, and three starts of them together"
-    for label in [*NAMES, *(f"{name}, joint" for name in NAMES)]:
+    assert len(rows) == 10 * 3 + 5 * 3, "three frames alone, and three starts of them together"
+    for label in [f"{name}{kind}" for kind in KINDS for name in NAMES]:
         own = [row for row in rows if row.row == label]
         # A refused frame is stored with the pose that it is left with: its start.
         left_with = [row.estimate if row.solved else row.start for row in own]

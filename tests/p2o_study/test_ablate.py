@@ -646,3 +646,18 @@ def test_velocity_and_camera_of_a_frame_are_known_to_whoever_calibrates_its_feat
     assert facts.reason == ""
     assert np.isclose(np.linalg.norm(facts.twist[3:]), 7, atol=0.5)
     assert facts.camera_name == "front"
+
+
+def test_the_command_writes_a_report_with_the_chosen_columns(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
+    file = bench.root / "study.toml"
+    file.write_text(QUICK + 'joint = 2\n[[row]]\nlabel = "quick alone"\ncalibrator = "quick"\nwitness = "none"\n')
+    out = bench.root / "out"
+    words = ["ablate", str(file), "--plugin", str(PLUGIN), "--out", str(out), "--jobs", "1", "--no-isolate", "--quiet"]
+    assert main([*words, "--report", "--columns", "rotation meen"]) == 2
+    assert "--columns: unknown column 'rotation meen'" in capsys.readouterr().err
+    assert bench.calls()["quick"] == 0, "refused before any work"
+    assert main([*words, "--report", "--columns", "runs,translation mean"]) == 0
+    assert re.split("  +", capsys.readouterr().out.splitlines()[1].strip()) == ["runs", "translation mean [cm]"]
+    assert "row & runs & translation mean [cm] \\\\" in (out / "report/report.tex").read_text()
+    figures = {path.name for path in (out / "report").glob("*over-frames*")}
+    assert figures == {f"tiny-1-over-frames.{form}" for form in ("pdf", "png", "svg")}

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from p2o.cli import main
 from p2o_study.benchmark import page as pages
 from p2o_study.curves import common_name
-from p2o_study.rows import Rows
 
 from tests.p2o_study.benchmark_pages import command, rows_of, written
 from tests.page_description import description, table, texts
@@ -49,24 +47,3 @@ def test_rows_beyond_the_size_of_the_page_are_left_out_and_counted(
     count = len(table(data, "rows")["rows"])
     assert 0 < count < 9
     assert any(f"the first {count} rows; {9 - count} further ones" in text for text in texts(data))
-
-
-def test_overlays_are_drawn_on_the_frames_of_the_rows_and_on_no_others(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    smoke = Rows(ROOT / "benchmarks/results")
-    rows = [row for row in smoke.each("smoke") if (row.row, row.place) == ("edges without directions", "scene-0000")]
-    for folder in ("same", "other"):
-        results = Rows(tmp_path / folder)
-        results.make_folder()
-        for row in rows:
-            [frame] = row.case.frames
-            changed = replace(frame, content="0" * 64) if folder == "other" else frame
-            results.put("smoke", replace(row, case=replace(row.case, frames=(changed,))))
-        places = ["--suites", str(ROOT / "baselines/p2o_baselines/suites"), "--out", str(tmp_path / "page" / folder)]
-        assert main(["benchmark", "page", "--results", str(tmp_path / folder), *places, "--overlays", "--quiet"]) == 0
-        drawn = (tmp_path / "page" / folder / "data/smoke-0.js").read_text().count("data:image/jpeg")
-        assert drawn == (4 if folder == "same" else 0)
-    out = capsys.readouterr().out
-    assert "2 runs drawn, 0 not" in out
-    assert "0 runs drawn, 2 not" in out

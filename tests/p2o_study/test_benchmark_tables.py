@@ -97,7 +97,7 @@ def test_each_data_set_has_rows_of_its_own_and_a_page_chooses_some(board: Board)
     ]
     [only] = [line for line in tables.markdown(Choice(data=("other",))).splitlines() if "quick" in line]
     assert only.startswith("| quick | 10 | 2 |")
-    assert "coverage 67 %" not in tables.markdown(Choice(columns=("brief",)))
+    assert "predicted 67 %" not in tables.markdown(Choice(columns=("brief",)))
     with pytest.raises(UnknownNameError, match="othr"):
         tables.markdown(Choice(data=("othr",)))
 

@@ -169,7 +169,7 @@ class Coverage:
 
 @dataclass(frozen=True)
 class Share:
-    """Trusted results of one kind: `runs` of them, of `frames` distinct frames or groups of frames, `out_of` so many.
+    """Trusted results of one kind: `runs` of them, on `frames` of `out_of` distinct frames or groups of frames.
 
     Several initial guesses of one frame are no independent trials: limits are over distinct frames.
     """

@@ -141,7 +141,7 @@ def _not_solved(row: Statistics) -> Any:
 def _accepted(name: str, of: Callable[[Statistics], Share]) -> Figure:
     def share(row: Statistics) -> Any:
         known = of(row)
-        return cell(known.runs, str(known)) if row.judged else None
+        return cell(known.runs, str(known)) if row.judged and (known.out_of or not row.trusted) else None
 
     return _figure_column(name, share, _judged)
 
@@ -326,7 +326,7 @@ def tables_of(group: Group, summary: Summary, columns: Sequence[str] = ()) -> li
     tables = [
         error_table(caption, group.rows, entries_by_default(group.measured, summary.norms)),
         error_table(
-            f"Absolute errors by axis{named}{_reached(group, summary.axes)}",
+            f"Absolute errors by axis{named}",
             group.rows,
             entries_by_axis(group.measured, summary.axes),
         ),
@@ -441,21 +441,6 @@ ENTRIES: Mapping[str, Entry] = {
     **{f"{name_of(norm)} solved only": _of_solved(norm) for norm in NORMS},
 }
 """Every column of tables of errors by its name, without the unit."""
-
-
-def _reached(group: Group, metrics: Sequence[str]) -> str:
-    """Return the number of means that are not above the compared published ones as text, or an empty text."""
-    pairs = [
-        (row.average(metric), published.values[metric])
-        for published in group.rows
-        if isinstance(published, Published)
-        for row in group.measured
-        if published.compares_with(row.label)
-        for metric in metrics
-        if metric in published.values and row.mean(metric) is not None
-    ]
-    reached = sum(ours <= theirs for ours, theirs in pairs)
-    return f" ({reached} of {len(pairs)} means at or under the published ones)" if pairs else ""
 
 
 _MARKS = {"": "", "bold": "**", "italic": "*"}

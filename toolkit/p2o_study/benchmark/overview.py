@@ -101,6 +101,7 @@ def _facts(name: str, entry: _Entry, registry: Registry, tables: Callable[[str],
 def _measured(line: Statistics, place: _Place) -> str:
     count = frames_of(line)
     frames = f"{count} frames jointly" if count > 1 else "single frames"
+    frames += f", {line.unmoved} of {line.count} not moved" if line.unmoved else ""
     errors = {norm: line.average(norm) for norm in NORMS}
     return f"{_errors_text(errors)} ({frames}, {place.data}, from {line.rows[0].protocol}, suite {place.suite})"
 

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from p2o.draw.image_uri import jpeg_uri
 from p2o.errors import P2OError
 from p2o.files.whole_file import write_whole
 from p2o.host.registry import Registry
@@ -19,7 +18,6 @@ from p2o.page import page as html
 from p2o.page.page import Block, Column, brief, cell
 from p2o.page.plot import plot_of_table, table_panel
 from p2o.run.recipe import Recipe
-from p2o.run.words import split_data
 
 from p2o_study.benchmark.lines import read_lines
 from p2o_study.benchmark.overview import needs_of
@@ -27,7 +25,6 @@ from p2o_study.benchmark.suite import Suite
 from p2o_study.benchmark.tables import NOTE
 from p2o_study.compare import family_of
 from p2o_study.curves import method_names, start_error_of
-from p2o_study.report.overlays import drawn_run
 from p2o_study.row import NORMS, Method, Row
 from p2o_study.rows import Rows
 from p2o_study.statistics import WRONG, Statistic, Statistics, top_groups
@@ -116,50 +113,6 @@ def _start(line: _Line, norm: str) -> float | None:
     return brief(start_error_of(line.summary, norm))
 
 
-# ---- overlays
-
-SYNTHETIC = "synthetic"
-"""The dataset whose images may be published without a licence."""
-MAX_RUNS = 400
-
-
-@dataclass
-class Overlays:
-    """Draws overlays and counts them: `drawn`, and `left_out`, whose methods or frames are not those of the rows."""
-
-    registry: Registry
-    drawn: int = 0
-    left_out: int = 0
-
-    def of(self, suite: Suite, rows: Sequence[Row]) -> list[dict[str, str]]:
-        """Return the overlays of rows in descending order of their errors: those of the first and the median one.
-
-        They have name, frame, and images before and after as data URIs. None is drawn for other data than synthetic
-        ones, external methods, crashed rows, and more than `MAX_RUNS` runs.
-        """
-        tables = {table.name: table for table in suite.dataset}
-        table = tables.get(rows[0].dataset)
-        if table is None or split_data(table.data)[0] != SYNTHETIC:
-            return []
-        shown = []
-        for place, name in {len(rows) // 2: "median error", 0: "largest error"}.items():
-            if self.drawn + self.left_out >= MAX_RUNS:
-                break
-            row = rows[place]
-            named = replace(row, case=replace(row.case, data=SYNTHETIC, options=table.options))
-            try:
-                if row.method.external or row.crashed:
-                    raise P2OError("no features of the row can be drawn")
-                frame, before, after = drawn_run(named, table.data, self.registry)
-            except P2OError:
-                self.left_out += 1
-                continue
-            self.drawn += 1
-            frame_text = f"{frame.name}, seed {row.seed}"
-            shown.append({"name": name, "frame": frame_text, "before": jpeg_uri(before), "after": jpeg_uri(after)})
-        return shown[::-1]
-
-
 # ---- the page
 
 
@@ -239,15 +192,13 @@ def write_page(
     registry: Registry,
     *,
     cards: Callable[[DatasetTable], Mapping[str, Card]] = lambda table: {},
-    overlays: Overlays | None = None,
     on_suite: Callable[[str], None] = lambda name: None,
 ) -> Written:
     """Write the page of suites, and a file for the runs of each row, to a folder, and return what was written.
 
     The page needs no server and loads nothing but these files. It opens with the suite that compares most families.
     It stays below 5 MB: rows beyond `MAX_BYTES` or `MAX_ROWS` are left out, which it states. `cards` returns the data
-    cards of a dataset of a suite by title, `overlays` draws images. Raises InputError if the folder
-    cannot be written.
+    cards of a dataset of a suite by title. Raises InputError if the folder cannot be written.
     """
     html.prepare_data(folder)
     shared, columns = html.Shared(), line_columns()
@@ -278,7 +229,7 @@ def write_page(
                     break
                 file = f"{suite.name}-{len(rows)}"
                 facts = [_card(shared, title, card) for title, card in known.items()]
-                html.write_data(folder, file, [[*facts, *_runs(line, overlays, shared)]])
+                html.write_data(folder, file, [[*facts, _runs(line, shared)]])
                 opens.append(html.detail_of_file(f"{line.label}: {line.heading}", file))
                 described |= known
                 shown.append(line)
@@ -331,11 +282,9 @@ def _card(shared: html.Shared, title: str, card: Card) -> Block:
     )
 
 
-def _runs(line: _Line, overlays: Overlays | None, shared: html.Shared) -> list[Block]:
-    """Return the overlays and the runs of a row, those with the largest errors first."""
+def _runs(line: _Line, shared: html.Shared) -> Block:
+    """Return the runs of a row, those with the largest errors first."""
     rows = sorted(line.rows, key=_error_size, reverse=True)
-    drawn = [] if overlays is None else overlays.of(line.suite, rows)
-    slides = [html.slides(f"run with the {one['name']}: {one['frame']}", one["before"], one["after"]) for one in drawn]
     table = html.table(
         shared.use(html.columns_of(RUN_COLUMNS)),
         [html.cells(RUN_COLUMNS, row) for row in rows],
@@ -343,7 +292,7 @@ def _runs(line: _Line, overlays: Overlays | None, shared: html.Shared) -> list[B
         search=True,
         counted=" runs, those with the largest errors first",
     )
-    return [*([html.grid(*slides, least=400)] if slides else []), html.section("Runs", table)]
+    return html.section("Runs", table)
 
 
 def _families(lines: Sequence[_Line]) -> Block:

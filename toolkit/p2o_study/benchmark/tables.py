@@ -43,7 +43,7 @@ _WORDS: Mapping[str, tuple[str, ...] | None] = {
 }
 """Words of a mark and their values, None for names and sizes."""
 _LISTS = ("data", "methods", "columns")
-_BRIEF = {"coverage 67 %", "coverage 95 %", "predicted 67 %"}
+_BRIEF = {"predicted 67 %"}
 """Columns that brief tables leave out."""
 
 
@@ -51,7 +51,7 @@ _BRIEF = {"coverage 67 %", "coverage 95 %", "predicted 67 %"}
 class Choice:
     """What a page takes of a suite: one section (None: all), and some of the data sets and labels (empty: all).
 
-    `columns` are "all", or "brief" without "solved only" and coverage, or names of columns. The rows of all sections
+    `columns` are "all", "brief" (no "solved only", no predicted errors), or names of columns. The rows of all sections
     are in one table with `sections` "together". `pooled` adds a line over all data sets, or shows nothing else.
     `over` "frames" gives mean errors by method and number of frames, which methods differ by less than the accuracy of
     the `reference` ("0.1deg 0.01m"), and how many frames each needs for errors of `target`.

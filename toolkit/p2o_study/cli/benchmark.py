@@ -417,10 +417,9 @@ def table(
 
 @command.command("page")
 @click.option("--out", required=True, metavar="FOLDER", help="The folder to write: index.html, and its runs in data.")
-@click.option("--overlays", is_flag=True, help="Draw worst and median run of each row on synthetic data.")
 @_takes("results", "suites", "quiet")
 @_cards
-def page(bench: _Bench, out: str, overlays: bool, cards: str) -> int:
+def page(bench: _Bench, out: str, cards: str) -> int:
     """Write one page of all suites: tables with top groups, plots, and the runs of each row; no data are needed.
 
     The page works offline, on a phone and without a server. It has filters by data set, initial error, number of
@@ -430,11 +429,10 @@ def page(bench: _Bench, out: str, overlays: bool, cards: str) -> int:
     p2o benchmark page --out p2o-out/benchmark/page
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
     from p2o_study.benchmark.card import read_cards
-    from p2o_study.benchmark.page import Overlays, write_page
+    from p2o_study.benchmark.page import write_page
 
     registry = bench.plugins.registry()
     tell = (lambda name: None) if bench.quiet else (lambda name: click.echo(f"suite {name}", err=True))
-    drawing = Overlays(registry) if overlays else None
     known = read_cards(Path(cards)).values()
     written = write_page(
         list(bench.opened()),
@@ -442,14 +440,10 @@ def page(bench: _Bench, out: str, overlays: bool, cards: str) -> int:
         Path(out),
         registry,
         cards=lambda table: {card.title: card.facts for card in known if card.covers(table)},
-        overlays=drawing,
         on_suite=tell,
     )
     left_out = f", {written.left_out} rows left out" if written.left_out else ""
     click.echo(f"wrote {written.path}: {written.rows} rows, {written.runs} runs{left_out}")
-    if drawing is not None:
-        reason = "method or frame differs from that of the row, or the method is external"
-        click.echo(f"{drawing.drawn} runs drawn, {drawing.left_out} not ({reason})")
     return 0
 
 

@@ -120,17 +120,6 @@ def draw_all(
     return images
 
 
-def drawn_run(run: Row, text: str, registry: Registry) -> tuple[Frame, UInt8, UInt8]:
-    """Return the first frame of a run with an estimate, and its overlays (H, W, 3) before and after the calibration.
-
-    `text` is the data, such as "synthetic:". Raises InputError if they lack the frame, and as `Recipe.resolve`.
-    """
-    source, wanted = _opened(text, run, registry), Wanted(run, run.frames[0])
-    _check_names([wanted], text, source.dataset.names)
-    frame = source.frame(wanted.frame)
-    return frame, *source.drawn(wanted, frame)
-
-
 @dataclass(frozen=True)
 class _Source:
     """The frames of one recipe and the methods whose features are drawn; `identity` returns that of a frame."""
