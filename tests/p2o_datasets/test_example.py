@@ -61,12 +61,17 @@ def test_the_files_are_small() -> None:
     assert sum(file.stat().st_size for file in files) <= 1_500_000
 
 
-def test_a_run_without_data_calibrates_it_and_imports_no_simulator() -> None:
-    code = "import sys; from p2o.cli import main; print(main(['run']), 'p2o_sim.synthetic' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    first, *_, last = done.stdout.splitlines()
-    assert (first, last) == ("street", "0 False")
-    assert "  verdict   trusted" in done.stdout
+def test_a_run_without_data_calibrates_it_and_imports_what_it_uses(tmp_path: Path) -> None:
+    code = "import sys; from p2o.cli import main; print(main(['run', '--out', 'out'])); print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path)
+    first, *lines, status, names = done.stdout.splitlines()
+    assert (first, status) == ("street", "0")
+    assert "  verdict   trusted" in lines
+    loaded = set(names.split())
+    assert "p2o_datasets.folder" in loaded
+    assert not loaded & {"p2o_sim.synthetic", "p2o_datasets.kitti_raw", "p2o_datasets.ros", "p2o_formats.formats"}
+    assert {name for name in loaded if name.startswith("p2o_baselines.")} == {"p2o_baselines.hooks"}
+    assert not loaded & {"torch", "onnx", "pycolmap", "matplotlib", "scipy.ndimage", "scipy.optimize", "embreex"}
 
 
 if __name__ == "__main__":

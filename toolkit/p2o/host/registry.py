@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
-from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, requires
+from importlib.metadata import Distribution, EntryPoint, PackageNotFoundError, entry_points, requires
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -297,11 +297,16 @@ def _installed() -> list[_Source]:
     """Return the entry points of the group, sorted by distribution and name."""
     # pluggy's own loader skips a second entry point of one name; reading the group ourselves keeps both.
     sources = []
+    # Metadata contain the README: they are parsed once for a distribution.
+    known: dict[Distribution | None, tuple[str, str]] = {None: ("unknown", "")}
     for entry in entry_points(group=GROUP):
-        dist = entry.dist.name if entry.dist is not None else "unknown"
+        if entry.dist is not None and entry.dist not in known:
+            metadata = entry.dist.metadata
+            known[entry.dist] = metadata["Name"], metadata["Version"]
+        name, version = known[entry.dist]
         # Where the package importlib_metadata is imported, it gives entry points of a class of its own.
         plain = EntryPoint(entry.name, entry.value, entry.group)
-        sources.append(_Source(_slug(dist), entry.dist.version if entry.dist is not None else "", entry.name, plain))
+        sources.append(_Source(_slug(name), version, entry.name, plain))
     return sorted(sources, key=lambda s: (s.name, s.value.value))
 
 
