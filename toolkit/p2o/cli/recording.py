@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 
 _IMAGE_NONE, _CLOUD_NONE = len(SIDES), len(SIDES) + 1
 """Classes of edges without a direction; those of the others are the numbers of their sides."""
-_RADIUS_PX, _PLANE_M = -1.5, 1.0
+_RADIUS_PX, _PLANE_M = -1.0, 1.0
 """Radius of points, which is negative for pixels of the screen, and distance of the image from its camera."""
 
 
@@ -73,9 +74,10 @@ class Recording:
             if self._count == 0:
                 self.stream = self.rerun.RecordingStream("p2o")
                 self._memory = self.stream.memory_recording()
-                self._describe(list(cameras))
+                self._describe(cameras)
             self.stream.set_time("frame", sequence=self._count)
-            self._log("result", "TextDocument", f"{frame.name}\n\n{describe(row)}", media_type="text/plain")
+            text = f"{frame.name}\n\n```\n{describe(row)}\n```"
+            self._log("result", "TextDocument", text, media_type="text/markdown")
             cloud, edges = after.seen.cloud, after.edges(progress)
             self._log("lidar/sweep", "Points3D", cloud.xyz, colors=sweep_colours(cloud), radii=_RADIUS_PX)
             xyz, side = (np.zeros((0, 3)), np.zeros(0, np.int8)) if edges is None else (edges[1].xyz, edges[1].side)
@@ -94,7 +96,7 @@ class Recording:
     def _log(self, entity: str, archetype: str, *values: Any, static: bool = False, **components: Any) -> None:
         self.stream.log(entity, getattr(self.rerun, archetype)(*values, **components), static=static)
 
-    def _describe(self, cameras: list[str]) -> None:
+    def _describe(self, cameras: Mapping[str, Drawn]) -> None:
         """Log the axes, the colours of directions, and which views the viewer opens."""
         view = self.rerun.blueprint
         self.stream.log("lidar", self.rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
@@ -102,7 +104,11 @@ class Recording:
         names |= {_IMAGE_NONE: ("image, no direction", IMAGE_NONE), _CLOUD_NONE: ("LiDAR, no direction", CLOUD_NONE)}
         self._log("/", "AnnotationContext", [(number, *about) for number, about in names.items()], static=True)
         shown = ["$origin/**", "/lidar/sweep", "/lidar/edges"]
-        images = [view.Spatial2DView(origin=f"/lidar/{name}/image", contents=shown, name=name) for name in cameras]
+        images = []
+        for name, drawn in cameras.items():
+            bounds = view.VisualBounds2D(x_range=(0, drawn.camera.width), y_range=(0, drawn.camera.height))
+            place = f"/lidar/{name}/image"
+            images.append(view.Spatial2DView(origin=place, contents=shown, name=name, visual_bounds=bounds))
         text = view.TextDocumentView(origin="/result", name="result")
         space = view.Vertical(view.Spatial3DView(origin="/lidar", name="LiDAR"), text, row_shares=[2, 1])
         self.stream.send_blueprint(view.Blueprint(view.Horizontal(space, view.Vertical(*images))))
@@ -125,7 +131,7 @@ class Recording:
         if not drawn.camera.is_pinhole and len(uv):
             uv = pinhole.project(drawn.camera.rays(uv))
         ids = _classes(side, _IMAGE_NONE)
-        self._log(f"{entity}/image/edges", "Points2D", _finite(uv) + 0.5, class_ids=ids, radii=_RADIUS_PX)
+        self._log(f"{entity}/image/edges", "Points2D", _finite(uv) + 0.5, class_ids=ids, radii=2 * _RADIUS_PX)
 
 
 def _classes(side: Int8, none: int) -> Any:
