@@ -2,13 +2,14 @@
 
     python benchmarks/bench.py                          # this tree
     python benchmarks/bench.py --against-commit REV     # both commits in turns, ratios within one run
+    python benchmarks/bench.py --rows frame --data kitti-odometry:build/data/kitti_odometry       # steps of real frames
     python benchmarks/bench.py --against-commit REV --poses folder:build/data/rigs/waymo --poses ...
 
 Steps of a frame are measured in one process with one thread (except the simulator's), the first frame of a process
 separately; commands in a process of their own, as a user calls them. Figures are medians over frames and repeats.
 Processor seconds are user and system time of a process and its children, peaks are of its memory, of the largest child
 where it has children. Rows `joint-N` calibrate N frames jointly; of more than 25, images and sweeps repeat under other
-names, but p2o reads, keeps and solves each of them.
+names, but p2o reads, keeps and solves each of them. Steps have the same weights of the network in both commits.
 
 With `--poses` nothing is timed: the same frames are calibrated by both commits; reported are the number of poses that
 are equal to the last digit, and the largest differences.
@@ -38,10 +39,11 @@ ROOT = Path(__file__).resolve().parents[1]
 HOME = ROOT / "build" / "bench"
 STEPS = ("frame", "grid")
 COMMANDS = ("help", "run", "out", "folder", "check", "simulate", "joint-24", "study-1", "study-2", "study-4")
-LONG = ("joint-50", "joint-125", "joint-500", "show", "train")
+LONG = ("joint-50", "joint-125", "joint-500", "joint-2000", "show", "train")
 """Rows that are measured only if they are asked for."""
 FRAMES, DISTINCT, STUDY_FRAMES, STUDY_SEEDS = 24, 25, 4, 20
 START = "2deg 0.15m"
+WEIGHTS = ROOT / "plugins" / "p2o_plugins" / "weights" / "p2ornet-free.safetensors"
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENCV_FOR_THREADS_NUM": "1"}
 MAXRSS_PER_MIB = 1024 if sys.platform != "darwin" else 1 << 20
 """Linux counts KiB, macOS bytes."""
@@ -125,14 +127,15 @@ def step_frame(data: str) -> dict[str, Cost]:
         from p2o.run.recipe import Recipe
 
         registry = Registry.load()
-        plan = Recipe.of(data=data, perturb=START).resolve(registry)
+        options = {"extractor": {"weights": str(WEIGHTS)}}
+        plan = Recipe.of(data=data, perturb=START, options=options).resolve(registry)
     with clock.of("simulate a frame"):
         scene = Recipe.of(data="synthetic:").resolve(registry).dataset()[0]
         _ = scene.image.rgb, scene.cloud.xyz
     with clock.of("weights"):
         calibrator = plan.assembly().calibrator
     dataset, features = plan.dataset(), []
-    for number in range(FRAMES):
+    for number in range(min(FRAMES, len(dataset))):
         first = ", first frame" if not number else ""
         with clock.of("decode" + first):
             frame = dataset[number]
@@ -182,6 +185,9 @@ def solve(pipeline: Any, features: Sequence[tuple[tuple[Any, ...], Any]], clock:
             with clock.of("features to pose" + first):
                 pipeline.solve([pipeline.view(*parts)], start)
             first = ""
+        first = ", jointly"
+        with clock.of(f"features to pose, {len(features)} frames jointly"):
+            pipeline.solve([pipeline.view(*parts) for parts, _ in features], features[0][1])
     finally:
         module.Clock = before  # type: ignore[misc]
 
@@ -317,9 +323,9 @@ def frames_on_disk(count: int) -> str:
     return f"folder:{folder}"
 
 
-def measured(trees: Sequence[Path], names: Sequence[str], repeats: int) -> list[dict[str, Cost]]:
+def measured(trees: Sequence[Path], names: Sequence[str], repeats: int, data: str) -> list[dict[str, Cost]]:
     """Return the rows of each tree; the trees take turns, so that other work affects them equally."""
-    data, costs = frames_on_disk(FRAMES), [dict[str, list[Cost]]() for _ in trees]
+    costs = [dict[str, list[Cost]]() for _ in trees]
     for name in names:
         measure: Callable[..., dict[str, Cost]] = of_step if name in STEPS else of_command
         for _ in range(repeats):
@@ -356,7 +362,7 @@ def main() -> None:
         "--poses", action="append", metavar="DATASET:PATH[#FRAMES]", help="compare poses instead; +joint at the end"
     )
     parser.add_argument("--step", help=argparse.SUPPRESS)
-    parser.add_argument("--data", help=argparse.SUPPRESS)
+    parser.add_argument("--data", metavar="DATASET:PATH", help="frames to measure (default: synthetic ones)")
     options = parser.parse_args()
     if options.step == "poses":
         print(json.dumps(step_poses(options.data)))
@@ -376,7 +382,7 @@ def main() -> None:
                 ours, theirs = (in_process(tree, "poses", text) for tree in trees)
                 print(f"{text}: {differences(ours, theirs)}", flush=True)
             return
-        measurements = measured(trees, options.rows, options.repeats)
+        measurements = measured(trees, options.rows, options.repeats, options.data or frames_on_disk(FRAMES))
     reference = measurements[1] if len(trees) > 1 else {}
     print(
         f"{machine()}, load {os.getloadavg()[0]:.1f}\n\n{compared(measurements[0], reference, options.against_commit)}"

@@ -36,6 +36,18 @@ def test_features_come_back_with_every_bit(tmp_path: Path) -> None:
         assert content_hash(kept.features) == content_hash(features)
 
 
+def test_numbers_of_single_precision_take_half_the_space(tmp_path: Path) -> None:
+    cache, single = FeatureCache(tmp_path), np.arange(10_000, dtype=np.float64) / 8
+    cache.put("a" * 64, (single,), 0.0)
+    cache.put("b" * 64, (single + 1e-9,), 0.0)
+    sizes = [cache.path(key * 64).stat().st_size for key in "ab"]
+    assert sizes[0] < 0.6 * sizes[1]
+    for key, array in (("a", single), ("b", single + 1e-9)):
+        (kept,) = cache.get(key * 64).features
+        assert kept.dtype == np.float64
+        np.testing.assert_array_equal(kept, array)
+
+
 def test_what_has_no_form_is_not_kept_and_not_an_error(tmp_path: Path) -> None:
     cache = FeatureCache(tmp_path)
     assert not cache.put("aa", object(), 0.0)

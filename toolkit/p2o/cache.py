@@ -177,6 +177,10 @@ def _packed(value: Any, arrays: dict[str, Any]) -> Any:
         if value.dtype.kind not in _KINDS:
             raise TypeError(f"an array of {value.dtype} cannot be cached")
         name = f"array{len(arrays)}"
+        with np.errstate(over="ignore"):
+            arrays[name] = value.astype(np.float32) if value.dtype == np.float64 else value
+        if value.dtype == np.float64 and np.array_equal(arrays[name], value, equal_nan=True):
+            return {"array": name, "type": "float64"}  # of single precision, in half the size
         arrays[name] = value
         return {"array": name}
     inner, kind = parts(value), type(value)
@@ -198,7 +202,8 @@ def _packed(value: Any, arrays: dict[str, Any]) -> Any:
 
 def _unpacked(tree: Mapping[str, Any], arrays: Mapping[str, Any]) -> Any:
     if "array" in tree:
-        return arrays[tree["array"]]
+        array = arrays[tree["array"]]
+        return array.astype(np.float64) if tree.get("type") == "float64" else array
     if "value" in tree:
         return tree["value"]
     made = {key: _unpacked(part, arrays) for key, part in tree["parts"].items()}

@@ -70,7 +70,7 @@ def build(options: P2ORNetOptions) -> ImageExtractor:
             keep &= ~image.masked[v, u]
         edges, confidence = edges.select(keep), confidence[keep]
         long = long_enough(edges.pixel, edges.side, image.rgb.shape[:2], options.min_line_px)
-        return ImageFeatures(p2o.ImageEdges(edges.uv[long], edges.side[long], confidence[long]))
+        return ImageFeatures(p2o.ImageEdges(edges.uv[long].astype(np.float32), edges.side[long], confidence[long]))
 
     return extract
 

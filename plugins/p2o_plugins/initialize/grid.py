@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
 from p2o import Float, Initializer, Method, Options, View, field, se3
@@ -39,8 +38,8 @@ def build(options: GridOptions) -> Initializer:
         if not coarse.points:
             return [camera_from_lidar]
         starts = [se3.exp(t) @ camera_from_lidar for t in _basins(coarse, camera_from_lidar, options)]
-        known: dict[tuple[object, ...], Any] = {}
-        narrowed = [narrow(coarse_maps(views, s, known), s, _SIGMA_DEG, rng) for s in starts]
+        maps = [coarse_maps(views, start) for start in starts]  # together, so that they share distance maps
+        narrowed = [narrow(each, start, _SIGMA_DEG, rng) for each, start in zip(maps, starts, strict=True)]
         judge = cost(NARROWEST_PX, max_points=MAX_POINTS)
         order = np.argsort(judge(np.stack(narrowed)), kind="stable")
         return [narrowed[i] for i in order]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 from p2o import Float, Initializer, InitializerBase, Method, Options, View, field, se3
@@ -18,6 +17,7 @@ _GENERATIONS = 12  # number of generations
 _ELITE = 0.1  # share of the population that shapes the next generation
 _WIDEST_PX = 40.0  # truncation of the distances in the first generation
 NARROWEST_PX = 8.0  # truncation of the distances in the last generation
+_WIDTHS = tuple(np.geomspace(_WIDEST_PX, NARROWEST_PX, 4).tolist())  # truncations from generation to generation
 _FINEST_PX = 4.0  # truncation of the distances at which basins end and are ranked
 _SCATTER = 3000  # poses drawn around the start, to find further basins
 _BASINS = 12  # number of them, the best and separate, that are narrowed
@@ -104,25 +104,18 @@ def _scattered(maps: DirectedCost, start: Float, prior: float, rng: np.random.Ge
     return list(_narrowed(costs, normals, start, unit, draws[chosen], _BASIN_SPREAD, keep, prior))
 
 
-def coarse_maps(
-    views: Sequence[View],
-    around: Float,
-    known: dict[tuple[object, ...], Any] | None = None,
-) -> dict[int, DirectedCost]:
-    """Return the directed cost at `_WIDEST_PX` for every scale of maps that the refinement needs, by scale.
-
-    `known` caches the maps for the same views around another pose.
-    """
-    widest = _scale(_WIDEST_PX)
-    scales = sorted({_scale(NARROWEST_PX), *(2**n for n in range(8) if 2**n < widest), widest})
-    limits = {"max_points": MAX_POINTS, "max_views": MOST_VIEWS}
-    cost = partial(DirectedCost.of, views, around, _WIDEST_PX, smooth=False, known=known, **limits)
+def coarse_maps(views: Sequence[View], around: Float) -> dict[int, DirectedCost]:
+    """Return the directed cost at `_WIDEST_PX` for every scale of maps that the refinement needs, by scale."""
+    scales = sorted({_scale(width) for width in _WIDTHS})
+    cost = partial(
+        DirectedCost.of, views, around, _WIDEST_PX, smooth=False, max_points=MAX_POINTS, max_views=MOST_VIEWS
+    )
     return {scale: cost(scale=scale) for scale in scales}
 
 
 def _scale(width_px: float) -> int:
-    """Return the size in pixels of a cell of the maps: a power of two up to a tenth of the truncation."""
-    return 1 << int(np.log2(max(1.0, width_px / 10)))
+    """Return the size in pixels of a cell of the maps: a power of two up to a quarter of the truncation."""
+    return 1 << int(np.log2(max(1.0, width_px / 4)))
 
 
 def narrow(
@@ -140,8 +133,7 @@ def narrow(
     edges the minimum of the cost is arbitrary: a `prior` of N missed edges per squared deviation then keeps the pose
     near the initial guess.
     """
-    widths = [float(w) for w in np.geomspace(_WIDEST_PX, NARROWEST_PX, 4)]
-    costs = [maps[_scale(width)].truncated(width) for width in widths]
+    costs = [maps[_scale(width)].truncated(width) for width in _WIDTHS]
     if not costs[0].points:
         return start
     costs = [costs[min(3, generation * 4 // _GENERATIONS)] for generation in range(_GENERATIONS)]

@@ -8,9 +8,11 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy import sparse
 from scipy.linalg import block_diag
 
 from p2o.arrays import Float, Int
+from p2o.calibration.block_system import BlockSystem
 from p2o.errors import InputError
 from p2o.features.side import Side
 from p2o.geometry import se3
@@ -107,44 +109,40 @@ def fit_with_nuisances(
     began = residuals
     for _ in range(_ITERATIONS):
         weight = problem.weight * problem.huber_px / np.maximum(np.abs(residuals), problem.huber_px)
-        precision = model.precision(weight, residuals)
-        hessian = _normal(rows, own, weight) + precision
-        pull = weight * residuals
-        gradient = np.concatenate([rows.T @ pull, np.asarray(own.T @ pull)])
-        gradient[6:] += precision[6:, 6:] @ (state - model.expected)
-        step = -np.asarray(np.linalg.lstsq(hessian, gradient, rcond=None)[0], np.float64)
+        variance = model.outline_variance(weight, residuals)
+        system = model.system(rows, own, weight, variance)
+        shared_step, own_step = system.solve(*model.gradient(rows, own, weight * residuals, state, variance))
+        step = -np.concatenate([shared_step[: 6 + model.shared], own_step.ravel()])
         pose, state = se3.exp(step[:6]) @ pose, model.within(state + step[6:])
         rows, own, residuals = model.linearised(pose, state)
         if np.abs(step).max() < _CONVERGED:
             break
-    inverse = np.asarray(np.linalg.pinv(hessian))
-    clustered, places = _clustered(problem, rows, own, residuals, scenes)
-    covariance = inverse @ clustered @ inverse
-    expected = model.prior_score(precision)
-    surely = inverse @ (_SIGMA_INFLATION**2 * clustered + expected) @ inverse
-    variance = surely.diagonal()
+    scores, places = _clustered(model, rows, own, residuals, scenes)
+    by_pairs, by_prior = system.covariance(*scores), system.covariance(*model.prior_scores(variance))
+    shared = slice(0, 6 + model.shared)
+    surely = _SIGMA_INFLATION**2 * by_pairs.shared + by_prior.shared
+    time_variance = surely[shared, shared].diagonal()[-1]
     if time is not None:
-        by_frame = _by_frame(problem, rows, own, residuals, weight, inverse)
-        variance = np.maximum(variance, (inverse @ (by_frame + expected) @ inverse).diagonal())
+        by_frame = _by_frame(model, system, rows, own, residuals, weight)
+        time_variance = max(time_variance, by_frame + by_prior.shared[shared, shared].diagonal()[-1])
     # With six places the fit has no residual for any pose: with few places, residuals underestimate the error.
     spare = places / (places - 6) if places > 6 else None
     pose_covariance: Float | None = None
     if spare is not None:
-        pose_covariance = (inverse @ (spare * clustered + expected) @ inverse)[:6, :6]
+        pose_covariance = (spare * by_pairs.shared + by_prior.shared)[:6, :6]
         # What the pose owes to the motions has their larger errors.
-        at = 6 + model.shared
-        by_motion = np.linalg.pinv(hessian[:6, :6]) @ hessian[:6, at:]
-        more = (_SIGMA_INFLATION**2 - 1) * covariance[at:, at:]
-        pose_covariance = pose_covariance + by_motion @ more @ by_motion.T
+        of_pose = np.concatenate([np.zeros((6, 0)), *system.mixed[:, :6]], axis=1)
+        by_motion = np.linalg.pinv(system.shared[:6, :6]) @ of_pose
+        pose_covariance = pose_covariance + (_SIGMA_INFLATION**2 - 1) * by_pairs.through(by_motion)
         pose_covariance = np.asarray(0.5 * (pose_covariance + pose_covariance.T))
     return Adjustment(
         pose,
         pose_covariance,
-        model.camera_fits(state, covariance),
-        model.motion_fits(state, surely),
+        model.camera_fits(state, by_pairs.shared),
+        model.motion_fits(state, _SIGMA_INFLATION**2 * by_pairs.own + by_prior.own),
         float(np.sqrt(np.mean((residuals - began) ** 2))),
         places,
-        model.time_fit(state, variance),
+        model.time_fit(state, float(time_variance)),
     )
 
 
@@ -210,17 +208,8 @@ class _Model:
         offset = [] if self.time is None else [self.time.offset_s]
         return np.concatenate([np.ravel(errors), widths, offset, self.motions.ravel()])
 
-    @property
-    def expected(self) -> Float:
-        """The state (N,) that is known beforehand."""
-        out = np.zeros(self.shared + self.motions.size)
-        if self.prior is not None:
-            motion = self.prior.expected
-            out[self.shared :] = np.tile([motion.speed_m_s, motion.turn_rad_s], len(self.motions))
-        return out
-
-    def linearised(self, pose: Float, state: Float) -> tuple[Float, Any, Float]:
-        """Return derivatives by pose and shared state (K, 6 + S), by motions (K, 2 F) and residuals (K,).
+    def linearised(self, pose: Float, state: Float) -> tuple[Float, Float, Float]:
+        """Return derivatives by pose and shared state (K, 6 + S), by the own motion (K, 2), and residuals (K,).
 
         All are zero where a point is unseen.
         """
@@ -247,7 +236,7 @@ class _Model:
         rows, own = np.where(unseen[:, None], 0.0, rows), np.where(unseen[:, None], 0.0, own)
         widths = slice(2 * len(self.asked), self.by_shared.shape[1])
         residuals = np.where(unseen, 0.0, residuals + self.by_shared[:, widths] @ state[widths])
-        return rows, self._spread(own), residuals
+        return rows, own, residuals
 
     def _displacements(self) -> tuple[Float, Float]:
         """Return how points (K, 3) move in m by 1 m/s and by 1 rad/s of their sweeps' motions."""
@@ -256,47 +245,111 @@ class _Model:
         motion, time_s = self.prior.expected, self.problem.time_s[:, None]
         return time_s * motion.by_speed[3:], time_s * np.cross(motion.by_turn[:3], self.problem.xyz)
 
-    def _spread(self, own: Float) -> Any:
-        """Return derivatives by the own motion (K, 2) as a matrix (K, 2 F) of all, sparse where there are several."""
-        count = len(own)
+    @cached_property
+    def _members(self) -> Any:
+        """The pairs of each frame (F, K), none where no motions are fitted."""
+        count = len(self.problem)
         if self.prior is None:
-            return np.zeros((count, 0))
-        if len(self.motions) == 1:
-            return own
-        from scipy import sparse
+            return sparse.csr_array((0, count))
+        of_frame = (np.ones(count), (self.problem.frame, np.arange(count)))
+        return sparse.csr_array(of_frame, shape=(len(self.motions), count))
 
-        columns = 2 * self.problem.frame[:, None] + np.array([0, 1])
-        at = (own.ravel(), columns.ravel(), np.arange(0, 2 * count + 1, 2))
-        return sparse.csr_array(at, shape=(count, self.motions.size))
-
-    def precision(self, weight: Float, residuals: Float) -> Float:
-        """Return what is known beforehand of pose and state, as a Hessian (6 + N, 6 + N)."""
-        first = np.zeros(6 + self.shared)
-        first[6 : 6 + 2 * len(self.asked)] = np.tile(1 / _CAMERA_SIGMA**2, len(self.asked))
+    def outline_variance(self, weight: Float, residuals: Float) -> float:
+        """Return the variance in px^2 of an outline, which counts as `_PAIRS_PER_OUTLINE` pairs."""
         variance = float(weight @ residuals**2) / max(float(weight.sum()), np.finfo(float).tiny)
-        outline_variance = _PAIRS_PER_OUTLINE * max(variance, _MIN_VARIANCE_PX2)
-        if self.time is not None:
-            first[-1] = outline_variance / TIME_SIGMA_S**2
-        of_motions = outline_variance * self.motion_information
-        root = np.sqrt(np.repeat(self.weights, 2))
-        return block_diag(np.diag(first), root[:, None] * of_motions * root if of_motions.size else of_motions)
-
-    def prior_score(self, precision: Float) -> Float:
-        """Return the covariance (6 + N, 6 + N) of the gradient because expected motions and times are not the true."""
-        at, out = 6 + self.shared, np.zeros_like(precision)
-        if self.time is not None:
-            out[at - 1, at - 1] = (precision[at - 1, at - 1] * TIME_SIGMA_S) ** 2
-        if self.prior is not None:
-            of_motions = precision[at:, at:]
-            out[at:, at:] = of_motions @ self.prior.covariance_of(len(self.motions)) @ of_motions
-        return out
+        return _PAIRS_PER_OUTLINE * max(variance, _MIN_VARIANCE_PX2)
 
     @cached_property
-    def motion_information(self) -> Float:
-        """The inverse (2 F, 2 F) of the covariance of the motions before any pair is evaluated."""
+    def _root(self) -> Float:
+        """The roots (F,) of the weights of the frames."""
+        return np.sqrt(self.weights[: len(self.motions)])
+
+    @cached_property
+    def _common(self) -> tuple[Float, float]:
+        """What the common part of all speeds takes from the precision of the motions: -c a a^T with a (2 F,)."""
+        assert self.prior is not None
+        own, common = self.prior.own_variance[0], self.prior.common_variance
+        a = np.zeros((len(self.motions), 2))
+        a[:, 0] = self._root / own
+        return a.ravel(), 1 / (1 / common + len(a) / own)
+
+    def system(self, rows: Float, own: Float, weight: Float, variance: float) -> BlockSystem:
+        """Return the Hessian of the robust sum and the priors; `variance` is that of an outline.
+
+        The last shared unknown is auxiliary where motions are fitted: it makes the own blocks independent.
+        """
+        shared, mixed, blocks = self._normal(rows, own, weight)
+        first = np.zeros(6 + self.shared)
+        first[6 : 6 + 2 * len(self.asked)] = np.tile(1 / _CAMERA_SIGMA**2, len(self.asked))
+        if self.time is not None:
+            first[-1] = variance / TIME_SIGMA_S**2
+        shared = shared + np.diag(first)
+        if self.prior is not None:
+            a, share = self._common
+            shared = block_diag(shared, np.array([[1 / (variance * share)]]))
+            mixed = np.concatenate([mixed, a.reshape(-1, 1, 2)], axis=1)
+            blocks = blocks + variance * self.weights[:, None, None] * np.diag(1 / self.prior.own_variance)
+        return BlockSystem(shared, mixed, blocks)
+
+    def _normal(self, rows: Float, own: Float, weight: Float) -> tuple[Float, Float, Float]:
+        """Return A^T W A of pairs in blocks: (6 + S, 6 + S), and (F, 6 + S, 2) and (F, 2, 2) of the motions."""
+        heavy, count = rows * weight[:, None], rows.shape[1]
+        mixed = np.stack([self._members @ (heavy * by_motion[:, None]) for by_motion in own.T], axis=-1)
+        blocks = np.stack([self._members @ (own * (weight * by_motion)[:, None]) for by_motion in own.T], axis=-1)
+        return heavy.T @ rows, mixed.reshape(-1, count, 2), blocks.reshape(-1, 2, 2)
+
+    def gradient(self, rows: Float, own: Float, pull: Float, state: Float, variance: float) -> tuple[Float, Float]:
+        """Return the gradient as right sides of the system; `pull` (K,) are weighted residuals."""
+        shared = rows.T @ pull
+        at = np.r_[0 : 2 * len(self.asked)]
+        shared[6 + at] += np.tile(1 / _CAMERA_SIGMA**2, len(self.asked)) * state[at]
+        if self.time is not None:
+            shared[-1] += variance / TIME_SIGMA_S**2 * state[self.shared - 1]
+        of_motions = np.asarray(self._members @ (own * pull[:, None]))
         if self.prior is None:
-            return np.zeros((0, 0))
-        return np.asarray(np.linalg.inv(self.prior.covariance_of(len(self.motions))))
+            return shared, of_motions.reshape(0, 2)
+        (a, share), motion = self._common, self.prior.expected
+        away = state[self.shared :].reshape(-1, 2) - [motion.speed_m_s, motion.turn_rad_s]
+        alone = self.weights[:, None] / self.prior.own_variance * away
+        weighted = (self._root[:, None] * away).ravel() @ (a / np.repeat(self._root, 2))
+        return np.append(shared, 0.0), of_motions + variance * (alone - share * weighted * a.reshape(-1, 2))
+
+    def prior_scores(self, variance: float) -> tuple[Float, Any]:
+        """Return right sides whose squares make the covariance of the gradient by the priors of motions and time.
+
+        Expected motions and times are not the true ones.
+        """
+        count = 6 + self.shared
+        if self.prior is None:
+            shared = np.zeros((1, count))
+            if self.time is not None:
+                shared[0, -1] = variance / TIME_SIGMA_S
+            return shared, sparse.csr_array((1, 0))
+        (a, _), own = self._common, np.tile(self.prior.own_variance, len(self.motions))
+        size, common = len(own), np.sqrt(self.prior.common_variance)
+        shared = np.zeros((size + 2, count + 1))
+        shared[:size, -1] = np.sqrt(own) * a
+        shared[size, -1] = common * a.sum()
+        if self.time is not None:
+            shared[size + 1, count - 1] = variance / TIME_SIGMA_S
+        alone = variance * np.repeat(self.weights, 2) / np.sqrt(own)
+        together = variance * common * np.where(np.arange(size) % 2, 0.0, np.repeat(self.weights, 2) / own)
+        return shared, sparse.csr_array(
+            sparse.vstack([sparse.diags(alone), sparse.csr_array(np.stack([together, np.zeros(size)]))])
+        )
+
+    def scores(self, rows: Float, own: Float, residuals: Float, group: Int) -> tuple[Float, Any]:
+        """Return the gradient of the robust sum by group of pairs (G, 6 + S) and, sparse, (G, 2 F); `group` (K,)."""
+        psi = self.problem.weight * np.clip(residuals, -self.problem.huber_px, self.problem.huber_px)
+        count, groups = len(self.problem), int(group.max()) + 1
+        members = sparse.csr_array((psi, (group, np.arange(count))), shape=(groups, count))
+        shared = np.asarray(members @ rows)
+        if self.prior is None:
+            return shared, sparse.csr_array((groups, 0))
+        columns = 2 * self.problem.frame[:, None] + np.array([0, 1])
+        at = (own.ravel(), columns.ravel(), np.arange(0, 2 * count + 1, 2))
+        spread = sparse.csr_array(at, shape=(count, self.motions.size))
+        return np.column_stack([shared, np.zeros(groups)]), members @ spread
 
     def within(self, state: Float) -> Float:
         """Return the state (N,) with errors of cameras and the offset in time kept within bounds."""
@@ -306,12 +359,9 @@ class _Model:
             out[self.shared - 1] = np.clip(out[self.shared - 1], -_MAX_OFFSET_S, _MAX_OFFSET_S)
         return out
 
-    def time_fit(self, state: Float, variance: Float) -> TimeFit | None:
-        """Read the time offset from the state (N,); `variance` (6 + N,) is that of pose and state."""
-        if self.time is None:
-            return None
-        at = self.shared - 1
-        return TimeFit(float(state[at]), float(np.sqrt(variance[6 + at])))
+    def time_fit(self, state: Float, variance: float) -> TimeFit | None:
+        """Read the time offset from the state (N,), with its variance."""
+        return None if self.time is None else TimeFit(float(state[self.shared - 1]), float(np.sqrt(variance)))
 
     def camera_fits(self, state: Float, covariance: Float) -> tuple[RadialFit, ...]:
         """Read the corrections of the cameras from the state (N,); `covariance` is that of pose and state."""
@@ -325,25 +375,14 @@ class _Model:
         """Return the error of a camera with values (2,) of focal and radial; its principal point is not fitted."""
         return replace(self.errors[camera], focal=float(values[0]), radial=float(values[1]))
 
-    def motion_fits(self, state: Float, covariance: Float) -> tuple[MotionFit, ...]:
-        """Read the motions from the state (N,); `covariance` is that of pose and state."""
-        fits = []
-        for at in range(self.shared, len(state), 2):
-            assert self.prior is not None
-            motion = replace(self.prior.expected, speed_m_s=float(state[at]), turn_rad_s=float(state[at + 1]))
-            fits.append(MotionFit(motion, covariance[6 + at : 8 + at, 6 + at : 8 + at]))
-        return tuple(fits)
-
-
-def _normal(rows: Float, own: Any, weight: Float) -> Float:
-    """Return A^T W A (N, N) of A = [rows, own], the second part sparse where it is of several frames."""
-    heavy = rows * weight[:, None]
-    mixed = np.asarray((own.T @ heavy).T)
-    return np.block([[heavy.T @ rows, mixed], [mixed.T, _dense(own.T @ (own * weight[:, None]))]])
-
-
-def _dense(matrix: Any) -> Float:
-    return np.asarray(matrix.toarray() if hasattr(matrix, "toarray") else matrix)
+    def motion_fits(self, state: Float, covariances: Float) -> tuple[MotionFit, ...]:
+        """Read the motions from the state (N,); `covariances` (F, 2, 2) are theirs."""
+        motions, expected = state[self.shared :].reshape(-1, 2), None if self.prior is None else self.prior.expected
+        return tuple(
+            MotionFit(replace(expected, speed_m_s=float(speed), turn_rad_s=float(turn)), covariance)
+            for (speed, turn), covariance in zip(motions, covariances, strict=True)
+            if expected is not None
+        )
 
 
 def _by_error(problem: PointToLine, pose: Float, errors: Mapping[Camera, RadialError]) -> Float:
@@ -369,36 +408,35 @@ def _outward(problem: PointToLine) -> Float:
     return np.column_stack([out * upright, out * ~upright])
 
 
-def _clustered(problem: PointToLine, rows: Float, own: Any, residuals: Float, scenes: Int | None) -> tuple[Float, int]:
-    """Return the covariance (N, N) of the gradient, with pairs of one scene, side and cell as one, and their count."""
+def _clustered(
+    model: _Model, rows: Float, own: Float, residuals: Float, scenes: Int | None
+) -> tuple[tuple[Float, Any], int]:
+    """Return the gradients of clusters, with pairs of one scene, side and cell as one, and their number."""
+    problem = model.problem
     cell = np.floor(problem.centre / OUTLINE_CELL_PX).astype(np.int64)
     scene = problem.frame if scenes is None else scenes[problem.frame]
-    _, place = np.unique(np.column_stack([scene, problem.side, cell]), axis=0, return_inverse=True)
-    score = _summed(problem, rows, own, residuals, place.reshape(-1))
-    return np.asarray(score.T @ score), len(score)
+    key = np.column_stack([scene, problem.side, cell])
+    key -= key.min(axis=0)
+    _, place = np.unique(np.ravel_multi_index(key.T, key.max(axis=0) + 1), return_inverse=True)
+    return model.scores(rows, own, residuals, place), int(place.max()) + 1
 
 
-def _by_frame(problem: PointToLine, rows: Float, own: Any, residuals: Float, weight: Float, inverse: Float) -> Float:
-    """Return the covariance (N, N) of the gradient if all pairs of a frame have a common error, as of its pose.
+def _by_frame(model: _Model, system: BlockSystem, rows: Float, own: Float, residuals: Float, weight: Float) -> float:
+    """Return the variance of the time offset if all pairs of a frame have a common error, as of its pose.
 
-    CR3 for few frames (Cameron and Miller, 2015); `inverse` is that of the Hessian.
+    CR3 for few frames (Cameron and Miller, 2015): each frame's gradient, solved without the frame.
     """
-    _, frame = np.unique(problem.frame, return_inverse=True)
-    score = _summed(problem, rows, own, residuals, frame.reshape(-1))
-    out = np.zeros_like(inverse)
-    for number, gradient in enumerate(score):
-        mine = np.flatnonzero(frame.reshape(-1) == number)
-        share = _normal(rows[mine], own[mine], weight[mine]) @ inverse
-        freed = np.linalg.lstsq(np.eye(len(share)) - share, gradient, rcond=None)[0]
-        out += np.outer(freed, freed)
-    return out * (1 - 1 / len(score))
-
-
-def _summed(problem: PointToLine, rows: Float, own: Any, residuals: Float, group: Int) -> Float:
-    """Return the gradient (G, N) of the robust sum by group of pairs; `group` (K,) holds their numbers."""
-    psi = problem.weight * np.clip(residuals, -problem.huber_px, problem.huber_px)
-    count, groups = len(problem), int(group.max()) + 1
-    from scipy import sparse
-
-    members = sparse.csr_array((psi, (group, np.arange(count))), shape=(groups, count))
-    return np.hstack([np.asarray(members @ rows), _dense(members @ own)])
+    problem, at = model.problem, 5 + model.shared
+    frames, group = np.unique(problem.frame, return_inverse=True)
+    shared, of_motions = model.scores(rows, own, residuals, group.reshape(-1))
+    of_motions, total = of_motions.toarray().reshape(len(frames), -1, 2), 0.0
+    for number, frame in enumerate(frames):
+        mine = group.reshape(-1) == number
+        heavy = rows[mine] * weight[mine, None]
+        by_frame = np.zeros_like(system.shared)
+        by_frame[: rows.shape[1], : rows.shape[1]] = heavy.T @ rows[mine]
+        mixed = np.zeros((len(system.shared), 2))
+        mixed[: rows.shape[1]] = heavy.T @ own[mine]
+        alone = system.without(int(frame), by_frame, mixed, (own[mine] * weight[mine, None]).T @ own[mine])
+        total += float(alone.solve(shared[number], of_motions[number])[0][at]) ** 2
+    return total * (1 - 1 / len(frames))

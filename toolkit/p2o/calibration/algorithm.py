@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -25,6 +25,10 @@ EDGES = frozenset({"image-edges", "cloud-edges"})
 
 _MOST_RIVALS, _NEAR_FAR = 2, 4
 """Poses near the best one that are refined: as rivals of a result, and as results themselves after a far search."""
+_CERTAIN_LEAD = 8.0
+"""A local minimum that loses this many edges against the best one is not refined further."""
+_SAME_DEG, _SAME_M = 0.1, 0.05
+"""Poses closer than this are of one local minimum."""
 _FAR_DEG, _FAR_M = 6.0, 0.5
 """A camera displaced by more than this sees other surfaces, and edges may have other directions in its image."""
 
@@ -33,6 +37,12 @@ def is_far(start: Float, pose: Float) -> bool:
     """Return whether a pose (4, 4) is so far from the initial one that the camera sees other edges from it."""
     moved_m = float(np.linalg.norm(se3.inverse(pose)[:3, 3] - se3.inverse(start)[:3, 3]))
     return se3.angle_deg(pose @ se3.inverse(start)) > _FAR_DEG or moved_m > _FAR_M
+
+
+def _is_same(pose: Float, other: Float) -> bool:
+    """Return whether two poses (4, 4) are of one local minimum."""
+    step = se3.inverse(other) @ pose
+    return se3.angle_deg(step) < _SAME_DEG and se3.distance_m(step) < _SAME_M
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,16 +133,15 @@ class Algorithm:
         if self.needs >= EDGES and is_sparse(views.corrected, self.options.interval_deg):
             centre = proposals[0] if is_far(start, proposals[0]) else start
             proposals = [most_likely_pose(views.corrected, centre, proposals), *proposals]
-        options, rounds = self.options, Rounds(self.matcher, self.solver, self.options)
-        judge = self.judge(views.corrected, start, proposals)
-
-        ends = [
-            rounds(views.corrected, start, pose, judge, reach_px=REACH_AFTER_SEARCH_PX, found_by="initialize")
-            for pose in proposals
-            if not np.allclose(pose, start, atol=1e-12)
-        ] or [rounds(views.corrected, start, start, judge, reach_px=options.reach_px)]
+        options, judge = self.options, self.judge(views.corrected, start, proposals)
         reach = self.initializer.reach if isinstance(self.initializer, InitializerBase) else None
-        return Refined(views, start, ends, judge, None if reach is None else SearchBox(*reach))
+        refined = Refined(views, start, [], judge, None if reach is None else SearchBox(*reach))
+        others = [pose for pose in proposals if not np.allclose(pose, start, atol=1e-12)]
+        ends, rivals = self._ends(refined, others, REACH_AFTER_SEARCH_PX)
+        if not ends:
+            rounds = Rounds(self.matcher, self.solver, options)
+            ends = [rounds(views.corrected, start, start, judge, reach_px=options.reach_px)]
+        return replace(refined, ends=ends, rivals=rivals)
 
     def refine_again(self, views: Sequence[View], refined: Refined) -> Refined:
         """Repeat the rounds from all solved poses, with what is visible from the best of them.
@@ -143,20 +152,42 @@ class Algorithm:
         proposals = [end.pose for end in refined.solved]
         again = self.refine(self.visible(views, refined.best.pose), refined.start, proposals)
         again = replace(again, ends=again.solved or refined.solved)
-        return again if again.box is None else replace(again, ends=[*again.ends, *self._near_ends(again, _NEAR_FAR)])
+        return again if again.box is None else replace(again, ends=[*again.ends, *self._near_ends(again, _NEAR_FAR)[0]])
 
     def with_rivals(self, refined: Refined) -> Refined:
         """Return the refined poses with rivals of the best one.
 
         Without a search, or from an initial guess outside its range, the best pose may be a local minimum.
         """
-        return replace(refined, rivals=self._near_ends(refined, _MOST_RIVALS))
+        ends, rivals = self._near_ends(refined, _MOST_RIVALS)
+        return replace(refined, rivals=[*refined.rivals, *ends, *rivals])
 
-    def _near_ends(self, refined: Refined, count: int) -> list[End]:
-        """Return the ends of rounds from up to `count` poses of low cost near the best one."""
-        rounds, start, views = Rounds(self.matcher, self.solver, self.options), refined.start, refined.views.corrected
-        reach_px, poses = self.options.min_reach_px, refined.judge.rivals(refined.best.pose, count)
-        return [rounds(views, start, p, refined.judge, reach_px=reach_px, found_by="initialize") for p in poses]
+    def _near_ends(self, refined: Refined, count: int) -> tuple[list[End], list[End]]:
+        """Return `_ends` from up to `count` poses of low cost near the best one."""
+        return self._ends(refined, refined.judge.rivals(refined.best.pose, count), self.options.min_reach_px)
+
+    def _ends(self, known: Refined, poses: Sequence[Float], reach_px: float) -> tuple[list[End], list[End]]:
+        """Return the ends of rounds from poses (4, 4), and local minima of the judge's cost without rounds.
+
+        Where the judge counts edges, no rounds are run from a pose whose local minimum is that of another one or of a
+        known end, or matches `_CERTAIN_LEAD` fewer edges than the best within the box.
+        """
+        judge, ends, rivals = known.judge, list[End](), list[End]()
+        rounds, views = Rounds(self.matcher, self.solver, self.options), known.views.corrected
+        end = partial(rounds, views, known.start, judge=judge, reach_px=reach_px, found_by="initialize")
+        if judge.lead(0.0, 0.0)[1] != "edges":
+            return [end(pose) for pose in poses], []
+        minima, seen = [judge.maximised(pose) for pose in poses], [end.pose for end in known.solved]
+        costs = judge.costs([*minima, *seen])
+        within = [cost for cost, pose in zip(costs, [*minima, *seen], strict=True) if known.within(pose)]
+        for number in np.argsort(costs[: len(poses)], kind="stable"):
+            minimum, (lead, _) = minima[number], judge.lead(min(within or costs), costs[number])
+            if lead > _CERTAIN_LEAD or any(_is_same(minimum, other) for other in seen):
+                rivals.append(End(minimum, Status.CONVERGED, "a local minimum of the cost", ()))
+            else:
+                ends.append(end(poses[number]))
+                seen.append(minimum)
+        return ends, rivals
 
     def judge(self, views: Sequence[View], start: Float, poses: Sequence[Float]) -> JudgeBase:
         """Return the judge of poses (4, 4) that are proposed from an initial one (4, 4)."""

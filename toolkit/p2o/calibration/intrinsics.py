@@ -33,7 +33,9 @@ _COARSE_STARTS = np.array([[f, 0, 0, 0] for f in (0.03, -0.03, 0.12, -0.12)] + [
 """Errors of focal length and radial distortion from which the fit on coarse maps starts, too."""
 _MIN_DISTANCE_PX = 0.5
 """Smaller distances count as this in the weights of the iterations (least absolute distances)."""
-_ITERATIONS, _COARSE_ITERATIONS, _MAX_HALVINGS = 30, 12, 8
+_ITERATIONS, _COARSE_ITERATIONS, _POSE_ITERATIONS, _MAX_HALVINGS = 30, 12, 4, 8
+_MOST_FITTED = 2
+"""Fits on coarse maps: the initial values of lowest cost once the pose is fitted to them."""
 _CONVERGED_PX = 2e-5
 _PRIOR = np.array([0.03, 0.06, 0.02, 0.02])
 """Standard deviations of the errors that are expected: focal length (relative), radial distortion, centre (of f)."""
@@ -109,8 +111,9 @@ def estimate_intrinsics(
     Focal length, first radial coefficient and principal point of every camera are fitted together with the pose, by
     Gauss-Newton steps on the distance maps with weights of least absolute deviations; Gaussian priors are scaled by
     the scatter of the gradient over image cells. The fit starts from the given cameras, and from the best of fits on
-    coarse maps that start from other focal lengths and radial distortions: its result is used where it is significantly
-    better. `parameters` (4,) are those that are fitted: focal length, radial coefficient, principal point x and y.
+    coarse maps, which start from those of several focal lengths and radial distortions that cost least with a pose
+    fitted to them: its result is used where it is significantly better. `parameters` (4,) are those that are fitted:
+    focal length, radial coefficient, principal point x and y.
 
     With a `prior`, the motions of all sweeps are fitted, too: in raw sweeps a forward motion displaces edges much as an
     error of the principal point in x does. The views are compensated for `motions`, one a view.
@@ -127,14 +130,14 @@ def estimate_intrinsics(
     given = fine.fit(given, count=6)
     noise = fine.noise(given)
     precision = fine.precision(noise, np.where(parameters, noise / _PRIOR**2, _FIXED))
-    fixed = fine.fit(given, precision, count=6 + fine.moving)
+    fixed = fine.fit(given, precision, count=6 + fine.moving) if fine.moving else given
     best = fine.fit(fixed, precision)
     cells = fine.cells(best.pose)
     if coarse is not None:
-        starts = [fixed]
-        for error in _COARSE_STARTS[np.any(_COARSE_STARTS[:, np.asarray(parameters, np.bool_)], axis=1)]:
-            start = replace(fixed, errors=fixed.errors + error)
-            starts.append(coarse.fit(start, precision, count=6 + fine.moving, iterations=_COARSE_ITERATIONS))
+        errors = _COARSE_STARTS[np.any(_COARSE_STARTS[:, np.asarray(parameters, np.bool_)], axis=1)]
+        starts = [replace(fixed, errors=fixed.errors + error) for error in (np.zeros(4), *errors)]
+        starts = [coarse.fit(start, precision, count=6 + fine.moving, iterations=_POSE_ITERATIONS) for start in starts]
+        starts = sorted(starts, key=lambda start: start.cost)[:_MOST_FITTED]
         ends = [coarse.fit(start, precision, iterations=_COARSE_ITERATIONS) for start in starts]
         other = fine.fit(min(ends, key=lambda end: end.cost), precision)
         if fine.evidence(best, other, cells) > _LEAD:

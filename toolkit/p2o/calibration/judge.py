@@ -20,7 +20,7 @@ from p2o.problems.rivals import rival_poses
 from p2o.results.evidence import Agreement
 from p2o.results.result import DIRECTED, INTERVALS
 
-_MOST_VIEWS = 128
+_MOST_VIEWS = 64
 """Poses of more frames are judged on this many: distance maps dominate the memory of a joint calibration."""
 
 

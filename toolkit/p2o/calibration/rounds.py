@@ -43,6 +43,8 @@ class End:
 
 REACH_AFTER_SEARCH_PX = 12.0
 """First cutting distance from a pose that an initializer proposes."""
+_LEAST_GAIN_EDGES = 0.3
+"""Rounds end where one gains fewer edges: the judge then finds the minimum."""
 
 
 @dataclass(frozen=True)
@@ -60,8 +62,10 @@ class Rounds:
 
         Each round matches within the cutting distance (d_c, first `reach_px`), minimises the robust sum of residuals
         (Eq. 1) and shrinks the cutting distance. Unlike in the paper, a pose is kept only where the judge gives it a
-        lower cost than the best one so far, and rounds end when a round does not change the pose. `found_by` is the
-        stage that proposed the pose; empty where it is the `start` itself, which is refused where no round moves it.
+        lower cost than the best one so far, and rounds end when a round does not change the pose, or when one within
+        the smallest cutting distance gains less than `_LEAST_GAIN_EDGES`, where the judge counts edges. `found_by` is
+        the stage that proposed the pose; empty where it is the `start` itself, which is refused where no round moves
+        it.
         """
         options, rounds = self.options, []
         if found_by:
@@ -90,6 +94,10 @@ class Rounds:
             independent = isinstance(problem, Objective) and problem.reach_independent
             if still and (reach <= options.min_reach_px or independent):
                 status, reason = Status.CONVERGED, "the last round moved the pose by less than the tolerance"
+                break
+            gain, unit = judge.lead(cost, cost_of_best)
+            if reach <= options.min_reach_px and unit == "edges" and gain < _LEAST_GAIN_EDGES:
+                status, reason = Status.CONVERGED, "the last round matched no more edges"
                 break
             step = f"{record.step_deg:.2g} deg and {record.step_m:.2g} m"
             reason = f"the last of {options.rounds} rounds moved the pose by {step}"

@@ -2,5 +2,5 @@
 
 from __future__ import annotations
 
-ALGORITHM = 2
+ALGORITHM = 3
 """Raised by hand when a change of p2o, without its plugins, alters poses or verdicts: stored results become stale."""

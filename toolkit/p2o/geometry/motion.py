@@ -110,12 +110,21 @@ class MotionPrior:
         """The covariance (2, 2) of speed in m/s and turning in rad/s."""
         return np.diag([self.speed_sigma**2, self.turn_sigma**2])
 
+    @property
+    def common_variance(self) -> float:
+        """The part of the variance of the speed that is common to all sweeps of a joint calibration."""
+        return _COMMON * self.speed_sigma**2
+
+    @property
+    def own_variance(self) -> Float:
+        """The variances (2,) of speed and turning of each sweep without the common part."""
+        return np.diag(self.covariance) - [self.common_variance, 0.0]
+
     def covariance_of(self, sweeps: int) -> Float:
         """Return the covariance (2 N, 2 N) of speed and turning of N sweeps, sweep by sweep.
 
         Sweeps that are calibrated jointly are often of one drive at one speed: a share `_COMMON` of the variance of the
         speed is common to all of them, and does not average out.
         """
-        common = _COMMON * np.array([self.speed_sigma**2, 0.0])
-        own = np.diag(self.covariance) - common
-        return np.kron(np.eye(sweeps), np.diag(own)) + np.kron(np.ones((sweeps, sweeps)), np.diag(common))
+        common = np.diag([self.common_variance, 0.0])
+        return np.kron(np.eye(sweeps), np.diag(self.own_variance)) + np.kron(np.ones((sweeps, sweeps)), common)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -54,8 +55,7 @@ class RadialError:
         """
         if not self:
             return camera
-        model, params = _corrected(camera, self)
-        return Camera(model, camera.width, camera.height, tuple(params))
+        return _corrected_camera(camera, self)
 
     def seen(self, camera: Camera, uv: Float) -> Float:
         """Return the observed pixels (..., 2) of points that the calibration projects to pixels (..., 2)."""
@@ -87,6 +87,13 @@ def _radial_model(camera: Camera) -> tuple[str, list[float]]:
         return camera.model, params
     text = f"camera model {camera.model} has no radial coefficient"
     raise InputError(text, expected=", ".join(["PINHOLE", *_FIRST_RADIAL]), hint="use pipeline.camera=trust")
+
+
+@lru_cache(maxsize=256)
+def _corrected_camera(camera: Camera, error: RadialError) -> Camera:
+    """Return the camera without an error, the same object again with what it has computed."""
+    model, params = _corrected(camera, error)
+    return Camera(model, camera.width, camera.height, tuple(params))
 
 
 def _corrected(camera: Camera, error: RadialError) -> tuple[str, list[float]]:

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from weakref import WeakKeyDictionary, WeakValueDictionary
 
 import numpy as np
 
 from p2o.arrays import Bool, Float, Int
+from p2o.features.edges import ImageEdges
 from p2o.features.side import Side
 from p2o.features.view import View
 from p2o.geometry import se3
@@ -110,6 +112,21 @@ def distance_maps(
     return maps
 
 
+_MAPS: WeakKeyDictionary[ImageEdges, WeakValueDictionary[tuple[object, ...], Float32]] = WeakKeyDictionary()
+"""Maps of image edges as long as a cost uses them."""
+
+
+def _shared_maps(view: View, sides: list[Side], truncate_px: float, scale: int, exact: bool) -> Float32:
+    """Return the maps of `DirectedCost` of a view: those of another cost if there is one with the same settings."""
+    maps_of = _MAPS.setdefault(view.image_edges, WeakValueDictionary())
+    key = (*sides, view.camera.width, view.camera.height, truncate_px, scale, exact)
+    maps = maps_of.get(key)
+    if maps is None:
+        maps = distance_maps(view, sides, truncate_px, scale, exact=exact, confidences=CONFIDENCES)
+        maps_of[key] = maps
+    return maps
+
+
 def _distance(cells: Int, truncate_px: float, scale: int, exact: bool, out: Float32) -> None:
     """Write the truncated distance in px of every cell to the nearest of `cells` (N,), by number, to `out` (H, W)."""
     import cv2
@@ -194,8 +211,7 @@ class DirectedCost:
         """Return the cost of these views; `max_points` keeps an even subset over all views together.
 
         `max_views` keeps a subset of the views that have points, even over their weights; each takes 16 bytes a pixel.
-        Maps that are in `known` are not made again, and new ones are put there: for costs of the same views from
-        several poses.
+        Costs of the same image edges share their maps while one of them lives, or `known` holds the maps.
         """
         points = [se3.apply(around, view.cloud_edges.xyz) for view in views]
         pixels = [v.camera.project(xyz) if len(xyz) else np.zeros((0, 2)) for v, xyz in zip(views, points, strict=True)]
@@ -218,12 +234,9 @@ class DirectedCost:
             sides = [Side(int(s)) for s in np.unique(edges.side)]
             number = np.zeros(len(Side), np.int64)
             number[sides] = np.arange(len(sides))
-            key = (number_of_view, tuple(sides), truncate_px, scale, smooth)
-            maps = None if known is None else known.get(key)
-            if maps is None:
-                maps = distance_maps(view, sides, truncate_px, scale, exact=smooth, confidences=CONFIDENCES)
-                if known is not None:
-                    known[key] = maps
+            maps = _shared_maps(view, sides, truncate_px, scale, smooth)
+            if known is not None:
+                known[number_of_view, *sides, truncate_px, scale, smooth] = maps
             neutral = _neutral(maps, truncate_px)
             # An edge between far apart beams may lie pixels off: it counts by the inverse of its variance in pixels.
             seen_from = se3.apply(around, edges.xyz)
@@ -284,31 +297,26 @@ class DirectedCost:
         return np.where(_inside(own.maps, u, v), values, own.neutral_of_points)
 
     def slopes(self, part: int, uv: Float) -> Float:
-        """Return the derivatives (2, N) of `sampled` by pixels (N, 2): central differences over one cell each way."""
-        own = self.parts[part]
+        """Return the derivatives (2, N) of `sampled` by pixels (N, 2): central differences over one cell each way.
+
+        They are 0 within a cell of the border of the map, and outside.
+        """
+        own, at = self.parts[part], self._cells(uv)
         height, width = own.maps.shape[1:]
-        last, at, flat = np.array([[width - 1], [height - 1]], np.float32), self._cells(uv), own.maps.reshape(-1)
-        # Outside the map anything is read, but not used.
-        cell = np.floor(np.maximum(np.minimum(at, last + 2), np.float32(-2.0)))
+        inner = ((at >= 1) & (at < [[width - 2], [height - 2]])).all(axis=0)
+        cell = np.floor(np.where(inner, at, np.float32(1.0)))
         u, v = at - cell
-        column, row = cell.astype(np.intp)
-        columns = [np.maximum(np.minimum(column + step, width - 1), 0) for step in range(-1, 3)]
-        rows = [np.maximum(np.minimum(row + step, height - 1), 0) * width + own.first_cell for step in range(-1, 3)]
-
-        def across(row: int, column: int) -> Float32:
-            left = flat.take(rows[row] + columns[column])
-            return np.asarray(left + (flat.take(rows[row] + columns[column + 1]) - left) * u)
-
-        def value(row: int, column: int) -> Float32:
-            above = across(row, column)
-            return np.asarray(above + (across(row + 1, column) - above) * v)
-
-        inside = ((at >= 0) & (at <= last))[::-1]
-        ends = []
-        for step in (1, -1):
-            values = np.minimum([value(1, 1 + step), value(1 + step, 1)], self.truncate_px)
-            ends.append(np.where((at >= -step) & (at <= last - step) & inside, values, own.neutral_of_points))
-        return np.asarray(ends[0] - ends[1]) / (2 * self.scale)
+        # Four cells of the rows above and below the pixel, and two of the rows beyond them.
+        steps = [row * width + column for row in (0, 1) for column in range(-1, 3)]
+        steps += [row * width + column for row in (-1, 2) for column in (0, 1)]
+        index = _numbers(cell[0], cell[1], width) + own.first_cell
+        cells = own.maps.reshape(-1).take(np.array(steps)[:, None] + index, mode="clip")
+        along = _between(cells[:4], cells[4:8], v)
+        across = [_between(cells[left], cells[left + 1], u) for left in (8, 1, 5, 10)]
+        ahead = _between(along[2], along[3], u), _between(across[2], across[3], v)
+        behind = _between(along[0], along[1], u), _between(across[0], across[1], v)
+        limit = np.float32(self.truncate_px)
+        return np.where(inner, np.minimum(ahead, limit) - np.minimum(behind, limit), 0.0) / (2 * self.scale)
 
     def _cells(self, uv: Float) -> Float32:
         """Return columns and rows (2, N) of the maps at pixels (N, 2); -1 for NaN."""
@@ -318,7 +326,19 @@ class DirectedCost:
 
     def at(self, pose: Float) -> float:
         """Return the cost in pixels of one pose (4, 4)."""
-        return float(self(pose[None])[0])
+        if not self.smooth or not self.edges > 0:
+            return float(self(pose[None])[0])
+        total, pose = 0.0, pose @ self.lidar_from_around
+        for number, part in enumerate(self.parts):
+            total += float(part.weight @ self.sampled(number, part.camera.project(se3.apply(pose, part.xyz))))
+        return total / self.edges
+
+    def thinned(self, most: int) -> DirectedCost:
+        """Return the cost of an even subset of at most about `most` points."""
+        step = slice(None, None, max(1, -(-self.points // most)))
+        names = ("rows", "xyz", "weight", "side_index")
+        parts = (replace(part, **{name: getattr(part, name)[step] for name in names}) for part in self.parts)
+        return self if step.step == 1 else replace(self, parts=tuple(parts))
 
 
 _LOOKUPS_AT_ONCE, _POSES_AT_ONCE, _POINTS_AT_ONCE = 64_000, 2_000, 30_000
@@ -416,9 +436,11 @@ def interpolated(cells: Float32, u: Float32, v: Float32, first: Int | None = Non
     Of several maps (..., H, W), `first` (N, B) are the numbers of the first cells of those that are read.
     """
     height, width = cells.shape[-2:]
-    inside_u, inside_v = (np.clip(at, 0, np.float32(max(size - 1.001, 0.0))) for at, size in ((u, width), (v, height)))
-    column, row = np.floor(inside_u), np.floor(inside_v)
-    u, v = inside_u - column, inside_v - row
+    last_u, last_v = (np.float32(max(size - 1.001, 0.0)) for size in (width, height))
+    u, v = np.minimum(np.maximum(u, np.float32(0)), last_u), np.minimum(np.maximum(v, np.float32(0)), last_v)
+    column, row = np.floor(u), np.floor(v)
+    u -= column
+    v -= row
     flat, index = cells.reshape(-1), _numbers(column, row, width)
     if first is not None:
         index += first
@@ -431,6 +453,11 @@ def interpolated(cells: Float32, u: Float32, v: Float32, first: Int | None = Non
     value *= v
     value += top
     return value
+
+
+def _between(first: Float32, second: Float32, share: Float32) -> Float32:
+    """Return the values at a share of the way from the first to the second."""
+    return np.asarray(first + (second - first) * share)
 
 
 _NEAREST_M = 1e-3

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from p2o.arrays import Float
@@ -23,21 +21,9 @@ def nearest_minimum(cost: DirectedCost, pose: Float) -> Float:
     Rounds of matching end at one of several poses near by, which depends on where they began; the local minimum of the
     distance does not.
     """
-    step = max(1, -(-cost.points // _MAX_POINTS))
     if not cost.points:
         return pose
-    if step > 1:
-        parts = (
-            replace(
-                part,
-                rows=part.rows[::step],
-                xyz=part.xyz[::step],
-                weight=part.weight[::step],
-                side_index=part.side_index[::step],
-            )
-            for part in cost.parts
-        )
-        cost = replace(cost, parts=tuple(parts))
+    cost = cost.thinned(_MAX_POINTS)
     best, damping = cost.at(pose), 1e-3
     for _ in range(_ITERATIONS):
         hessian, gradient = _normal_equations(cost, pose)

@@ -13,7 +13,7 @@ from p2o.frames.frame import Frame
 from p2o.frames.scale import image_at_scale
 from p2o.geometry.camera import Camera
 
-MAX_FRAMES_IN_MEMORY = 64
+MAX_FRAMES_IN_MEMORY = 32
 """Joint calibrations of more frames read them again. A frame of KITTI takes 10 MB: 500 of them fill most laptops."""
 
 

@@ -9,6 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+import numpy as np
+
 from p2o.arrays import Float
 from p2o.errors import InputError, P2OError, PluginError
 from p2o.frames.frame import Dataset, Frame
@@ -16,6 +18,7 @@ from p2o.frames.selection import select
 from p2o.geometry.camera import Camera
 from p2o.geometry.pose_error import pose_error
 from p2o.host.registry import Registry
+from p2o.problems.distinct_views import evenly_chosen
 from p2o.results.result import Result, RigResult, Status
 from p2o.run.assembly import Assembly
 from p2o.run.initial_guess import common_pose, given_guess, listed_errors, one_camera, start_of, starts_of
@@ -160,6 +163,10 @@ def run(
     )
 
 
+MOST_JOINT_FRAMES = 128
+"""Joint calibrations use at most this many frames, which bounds their time and memory."""
+
+
 @dataclass(frozen=True, eq=False)
 class _Group:
     """Frames that are calibrated together: their indices in the order of the dataset, and their names.
@@ -189,7 +196,11 @@ def _groups(plan: Plan, dataset: Frames, start: Float | None, remarks: tuple[str
         starts = {camera: plan.rig.start_of(camera) for camera in by_camera if plan.recipe.perturb is None}
         groups = [_Group(sorted(g), c, starts.get(c), own_remarks.get(c, ())) for c, g in by_camera.items()]
     elif plan.recipe.joint:
-        groups = [_Group(sorted(indices), start=start, remarks=remarks)]
+        chosen = [sorted(indices)[number] for number in evenly_chosen(np.ones(len(indices)), MOST_JOINT_FRAMES)]
+        if len(chosen) < len(indices):
+            text = f"{len(indices) - len(chosen)} of {len(indices)} frames are not used"
+            remarks = (*remarks, f"{text}: a joint calibration takes {MOST_JOINT_FRAMES} at most, evenly spaced")
+        groups = [_Group(chosen, start=start, remarks=remarks)]
     else:
         groups = [_Group([index], start=start, remarks=remarks) for index in indices]
     errors = listed_errors(plan.recipe, names, [group.indices[0] for group in groups])
