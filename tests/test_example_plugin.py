@@ -149,7 +149,7 @@ def test_the_method_that_learns_on_the_page_learns_and_is_used(
     assert 5 <= level < 100
     said = capsys.readouterr().out
     assert "extractor.weights=trained/weights.json" in said
-    assert "scene-0000" in said
+    assert "street" in said
     assert main(["plugin", "check", "learned-steps", "--plugin", "learned.py"]) == 0
 
 

@@ -76,7 +76,7 @@ def test_the_poses_of_the_page_are_the_result_whichever_is_pasted(quick: Path, t
 def test_the_page_holds_its_pictures(quick: Path) -> None:
     sides = [one[end] for one in blocks(description(quick / "result.html"), "slides") for end in ("left", "right")]
     assert len(sides) == 6, "edges, range, reflectance: twice each"
-    assert all(source.startswith("data:image/webp") for source in sides)
+    assert all(source.startswith("data:image/jpeg") for source in sides)
 
 
 def test_names_of_frames_are_text_on_the_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -119,7 +119,7 @@ def test_overlays_beyond_the_limit_are_files_of_full_size_beside_the_page(
         files = [unquote(text) for text in sources if not text.startswith("data:")]
         assert 0 < len(files) < len(sources) == 12
         assert all((folder / name).is_file() for name in files)
-        assert sources[0].startswith("data:image/webp"), "edges before sweeps"
+        assert sources[0].startswith("data:image/jpeg"), "edges before sweeps"
         assert [bool(one.get("lazy")) for one in slides] == [not one["left"].startswith("data:") for one in slides]
         assert "img-src data: blob: 'self' file:;" in html
 

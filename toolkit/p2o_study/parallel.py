@@ -203,10 +203,13 @@ class _Loky:
                 self.executor.shutdown(wait=True, kill_workers=not ended)
 
     def prepare(self) -> None:
-        from joblib.externals.loky import get_reusable_executor
+        # Not the executor that loky shares in a process: who else holds that one can end its workers.
+        from joblib.externals.loky import ProcessPoolExecutor
 
+        if self.executor is not None:
+            self.executor.shutdown(wait=True, kill_workers=True)
         words: dict[str, Any] = {"initializer": _watch, "initargs": (os.getpid(),)}
-        self.executor = get_reusable_executor(max_workers=self.jobs, timeout=_IDLE_S, **words)
+        self.executor = ProcessPoolExecutor(max_workers=self.jobs, timeout=_IDLE_S, **words)
 
     def processors(self) -> int:
         return self.jobs
