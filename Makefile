@@ -5,7 +5,7 @@ JOBS ?= 2
 CASES ?= 20000
 SEED ?= 0
 BENCH ?=
-SOURCES := $(shell find toolkit plugins baselines -name '*.py' -o -name '*.pyi' -o -name '*.toml' -o -name '*.html' -o -name '*.css' -o -name '*.js') pyproject.toml README.md
+SOURCES := $(shell find toolkit plugins baselines -type f -not -path '*/__pycache__/*' -not -path '*.egg-info/*') pyproject.toml README.md
 
 .PHONY: run test test-system fuzz bench dev lint docs clean
 
