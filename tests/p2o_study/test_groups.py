@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from p2o import Camera, se3
 from p2o_study.cells import group_size, groups_of
-from p2o_study.study import ALL_JOINT, BY_CAMERA
+from p2o_study.study import ALL_JOINT, BY_CAMERA, BY_RIG
 from p2o_study.worker import FrameRecord, Plugins, Source
 
 CAMERA = Camera.pinhole(700, 700, 300, 100, 600, 200)
@@ -28,6 +28,14 @@ def names(joint: int, facts: list[FrameRecord]) -> list[str]:
 def test_frames_are_taken_in_order_the_last_group_may_be_smaller(joint: int, groups: list[str]) -> None:
     assert names(joint, [fact(name) for name in "abc"]) == groups
     assert group_size(joint, 3) == len(groups[0])
+
+
+@pytest.mark.parametrize(("joint", "group"), [(ALL_JOINT, "ace"), (BY_CAMERA, "ace"), (4, "abc"), (BY_RIG, "abcdef")])
+def test_a_large_group_of_one_camera_has_the_frames_that_a_run_would_use(
+    monkeypatch: pytest.MonkeyPatch, joint: int, group: str
+) -> None:
+    monkeypatch.setattr("p2o.run.run.MOST_JOINT_FRAMES", 3)
+    assert names(joint, [fact(name) for name in "abcdef"])[0] == group
 
 
 def test_frames_of_one_camera_are_together_and_others_are_not() -> None:

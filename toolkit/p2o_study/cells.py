@@ -21,6 +21,7 @@ from p2o.host.registry import Registry
 from p2o.run.assembly import INPUTS
 from p2o.run.initial_guess import common_pose, listed_errors, start_of
 from p2o.run.recipe import Part, Plan, open_dataset
+from p2o.run.run import used_jointly
 from p2o.run.words import split_data
 
 from p2o_study import worker
@@ -190,12 +191,14 @@ def group_size(joint: int, frames: int) -> int:
 def groups_of(joint: int, records: Sequence[FrameRecord]) -> list[tuple[FrameRecord, ...]]:
     """Return the groups of frames for joint calibration; `joint` is that of a `StudyRow`.
 
-    The frames of a group are in the order of the dataset, on which the last bits of the result depend.
+    The frames of a group are in the order of the dataset, on which the last bits of the result depend. Groups of one
+    camera have the frames that `p2o run --joint` uses.
     """
     if joint == BY_CAMERA:
-        return _by_camera(records)
+        return [tuple(used_jointly(group)) for group in _by_camera(records)]
     size = group_size(joint, len(records))
-    return [_in_order(records[first : first + size]) for first in range(0, len(records), size)]
+    groups = [_in_order(records[first : first + size]) for first in range(0, len(records), size)]
+    return groups if joint == BY_RIG else [tuple(used_jointly(group)) for group in groups]
 
 
 def _in_order(records: Iterable[FrameRecord]) -> tuple[FrameRecord, ...]:

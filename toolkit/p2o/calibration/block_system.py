@@ -13,10 +13,10 @@ from p2o.arrays import Float
 
 @dataclass(frozen=True, eq=False)
 class BlockCovariance:
-    """The covariance of a solution: `shared` (Q, Q), the blocks `own` (F, 2, 2) of the frames, and its rows.
+    """The covariance of a solution: `shared` (Q, Q) of the shared unknowns, `own` (F, 2, 2) of those of each frame.
 
-    The rows (Q, G) and (G, 2 F), the second one as a sparse matrix and its dense correction (2 F, Q), are those whose
-    squares make it.
+    Each of G independent right sides moves the shared unknowns by a column of `by_shared` (Q, G), and the unknowns of
+    the frames by a row of `by_own` (G, 2 F), sparse, minus `eliminated` (2 F, Q) times that column.
     """
 
     shared: Float
@@ -41,7 +41,7 @@ class BlockSystem:
 
     @cached_property
     def _eliminated(self) -> Float:
-        """How the own unknowns follow the shared ones (F, 2, Q), with a negative sign."""
+        """Minus the derivatives (F, 2, Q) of the unknowns of each frame by the shared ones, where the frame is solved."""
         return np.asarray(np.linalg.solve(self.own, self.mixed.transpose(0, 2, 1)))
 
     @cached_property

@@ -164,7 +164,12 @@ def run(
 
 
 MOST_JOINT_FRAMES = 128
-"""Joint calibrations use at most this many frames, which bounds their time and memory."""
+"""Joint calibrations of one camera use at most this many frames, which bounds their time and memory."""
+
+
+def used_jointly(frames: Sequence[_T]) -> list[_T]:
+    """Return the frames that a joint calibration uses: at most `MOST_JOINT_FRAMES` of them, evenly spaced."""
+    return [frames[number] for number in evenly_chosen(np.ones(len(frames)), MOST_JOINT_FRAMES)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,7 +201,7 @@ def _groups(plan: Plan, dataset: Frames, start: Float | None, remarks: tuple[str
         starts = {camera: plan.rig.start_of(camera) for camera in by_camera if plan.recipe.perturb is None}
         groups = [_Group(sorted(g), c, starts.get(c), own_remarks.get(c, ())) for c, g in by_camera.items()]
     elif plan.recipe.joint:
-        chosen = [sorted(indices)[number] for number in evenly_chosen(np.ones(len(indices)), MOST_JOINT_FRAMES)]
+        chosen = used_jointly(sorted(indices))
         if len(chosen) < len(indices):
             text = f"{len(indices) - len(chosen)} of {len(indices)} frames are not used"
             remarks = (*remarks, f"{text}: a joint calibration takes {MOST_JOINT_FRAMES} at most, evenly spaced")
