@@ -41,7 +41,7 @@ class BlockSystem:
 
     @cached_property
     def _eliminated(self) -> Float:
-        """Minus the derivatives (F, 2, Q) of the unknowns of each frame by the shared ones, where the frame is solved."""
+        """Minus the derivatives (F, 2, Q) of the unknowns of each frame by the shared ones, once solved."""
         return np.asarray(np.linalg.solve(self.own, self.mixed.transpose(0, 2, 1)))
 
     @cached_property
