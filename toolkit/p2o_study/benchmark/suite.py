@@ -22,8 +22,6 @@ from p2o_study.study import DatasetTable, Label, Line, Seeds, Study, StudyRow, f
 
 FOLDER = "suites"
 """Folder of suites in a package: PACKAGE/suites/NAME.toml."""
-MIN_SEEDS = 5
-"""Minimum number of initial guesses of each frame or group."""
 _OWN_IMAGE_SIDE = "p2ornet"
 """The image extractor of our method; its rows need those without prior beside them."""
 _INIT_WITH_PRIOR = "search"
@@ -49,7 +47,7 @@ class Suite(Study):
     share: bool = True
     title: Label = "suite"
     dataset: tuple[DatasetTable, ...] = ()
-    seeds: Seeds = MIN_SEEDS
+    seeds: Seeds = 1
     file: Path = Path()
 
     @property
@@ -111,12 +109,12 @@ def find_suite(word: str, registry: Registry, folder: str | Path | None = None) 
 def check_rows(rows: Sequence[StudyRow], where: str) -> None:
     """Raise InputError for rows that are not comparable.
 
-    Every row needs the same seeds, at least `MIN_SEEDS`. Where our method is a row that uses the prior on the initial
+    Every row needs the same seeds. Where our method is a row that uses the prior on the initial
     guess, the suite also needs it without the prior, on the same data, frames and initial guesses.
     """
     for row in rows:
-        if row.seeds != rows[0].seeds or len(row.seeds) < MIN_SEEDS:
-            expected = f"the same seeds for all rows, at least {MIN_SEEDS}"
+        if row.seeds != rows[0].seeds:
+            expected = f"the seeds of the first row, {list(rows[0].seeds)}"
             raise InputError(f"seeds of row '{row.label}'", where=where, expected=expected, got=list(row.seeds))
     with_prior: set[tuple[object, ...]] = set()
     without_prior: set[tuple[object, ...]] = set()
