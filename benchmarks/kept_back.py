@@ -28,8 +28,8 @@ DEVELOPMENT = {
     "hitsz, 16 rings": "hitsz",
 }
 """The data set of the suite with development frames of the rig of a set; other sets have none."""
-LABELS = {"default": "default", "free": "free-weights"}
-"""The label of single frames in the suite by weights; that of joint calibrations ends with ", joint"."""
+LABEL = "default"
+"""The label of single frames in the suite; that of joint calibrations ends with ", joint"."""
 COLUMNS = ("runs (frames)", "deg median", "deg mean", "cm median", "cm mean", "trusted", "trusted, outside 95 %")
 
 SHORT = {"single": "one frame", "joint": "all jointly"}
@@ -77,7 +77,7 @@ def beside(rows: list[dict[str, str]], weights: str, lines: dict[Key, Statistics
     by_label = {(key.dataset, key.label.removeprefix("without-rings ")): line for key, line in lines.items()}
     cells = []
     for row in (row for row in rows if row["weights"] == weights):
-        label = LABELS[weights] + (", joint" if row["mode"] == "joint" else "")
+        label = LABEL + (", joint" if row["mode"] == "joint" else "")
         line = by_label.get((DEVELOPMENT.get(row["set"], ""), label))
         cells.append([row["set"], row["mode"], *development(line), *(row[name] for name in COLUMNS)])
     return table(["set", "mode", *COLUMNS, *(f"kept back: {name}" for name in COLUMNS)], cells)
@@ -100,7 +100,7 @@ def main() -> None:
     """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("file", type=Path)
-    parser.add_argument("--weights", choices=LABELS)
+    parser.add_argument("--weights", choices=("default", "free"))
     parser.add_argument("--columns", type=lambda text: text.split(";"))
     parser.add_argument("--brief", action="store_true", help="one line for each set of SETS")
     parser.add_argument("--beside", metavar="SUITE", help="a suite of single frames and joint calibrations")

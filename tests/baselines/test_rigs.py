@@ -22,7 +22,6 @@ def test_every_rig_that_is_there_has_its_rows_and_the_others_none(tmp_path: Path
         "single @ waymo",
         "single @ nuscenes",
         "single @ ddad",
-        "single, free weights @ nuscenes",
         "joint @ odometry00",
         "joint @ waymo",
         "joint @ ddad",
@@ -34,7 +33,6 @@ def test_every_rig_that_is_there_has_its_rows_and_the_others_none(tmp_path: Path
     cloud = rows["single @ ddad"].resolve(REGISTRY, 0).parts["cloud"]
     assert (cloud.offer.name, cloud.options.origin_m) == ("range-view", (1.65, 0.0, 1.35))
     assert rows["single @ nuscenes"].resolve(REGISTRY, 0).parts["cloud"].offer.name == "rings"
-    assert rows["single, free weights @ nuscenes"].resolve(REGISTRY, 0).parts["extractor"].options.weights == "free"
 
 
 def test_one_file_of_splits_chooses_the_frames_of_every_rig(tmp_path: Path) -> None:

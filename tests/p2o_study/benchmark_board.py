@@ -14,7 +14,7 @@ from tests.study_bench import HEAD, PLUGIN, TRUSTED, Bench
 
 QUICK_ROW = '[[row]]\nlabel = "quick"\ncalibrator = "quick"\nwitness = "none"\n'
 STUDY = HEAD + QUICK_ROW + '[[row]]\nlabel = "nearest"\nmatcher = "nearest"\nwitness = "none"\n' + TRUSTED
-SUITE = 'name = "tiny"\nquestion = "Which is better?"\nstudy = "study.toml"\n'
+SUITE = 'name = "tiny"\nquestion = "Which is better?"\nstudy = "study.toml"\nseeds = 5\n'
 
 
 class Board(Bench):
