@@ -14,7 +14,7 @@ from p2o.reading import RingsUnknownError
 from p2o.solving import Objective
 from p2o_baselines.information import gom, grey, mi, nid, nmi, reflectance
 from p2o_baselines.information.gom import gradients
-from p2o_baselines.information.histogram import Linear, presence
+from p2o_baselines.information.histogram import Linear, presence, presence_slope
 from p2o_baselines.information.information import SeenPoints, Sighting, Span, sightings
 from p2o_plugins.solve import barzilai_borwein
 from p2o_testing import stage
@@ -56,8 +56,8 @@ def test_gradients_are_those_of_differences_also_where_points_leave_the_image(
 
 def test_points_count_less_towards_the_border_and_not_at_all_outside() -> None:
     uv = np.array([[50.0, 50.0], [5.0, 50.0], [50.0, 97.5], [0.0, 50.0], [-3.0, 50.0], [np.nan, 50.0]])
-    weight, slope = presence(uv, 101, 101, 0.0)
-    assert weight == pytest.approx([1, 0.5, 0.25, 0, 0, 0])
+    slope = presence_slope(uv, 101, 101, 0.0)
+    assert presence(uv, 101, 101, 0.0) == pytest.approx([1, 0.5, 0.25, 0, 0, 0])
     assert slope.tolist() == [[0, 0], [0.1, 0], [0, -0.1], [0, 0], [0, 0], [0, 0]]
 
 

@@ -53,9 +53,9 @@ def test_the_corners_of_what_is_shown_can_be_looked_up_and_beyond_is_not_shown(l
     corners = np.array([[border, border], [11 - border, 8 - border]])
     assert histogram(levels, corners).sum(axis=1) == pytest.approx([1, 1])
     inner = corners + [[0.01, 0.01], [-0.01, -0.01]]
-    assert (levels.presence(inner)[0] > 0).all()
-    assert not levels.presence(corners + [[-0.6, 0], [0.6, 0]])[0].any()
-    assert not levels.presence(np.full((1, 2), np.nan))[0].any()
+    assert (levels.presence(inner) > 0).all()
+    assert not levels.presence(corners + [[-0.6, 0], [0.6, 0]]).any()
+    assert not levels.presence(np.full((1, 2), np.nan)).any()
 
 
 def test_at_a_pixel_hard_and_linear_levels_are_its_own() -> None:

@@ -63,7 +63,7 @@ class Slopes:
         step = self.camera.project(p2o.se3.apply(poses, self.xyz + step_m[:, None] * self.along)) - uv
         u, v, du, dv = uv[..., 0], uv[..., 1], step[..., 0], step[..., 1]
         height, width = self.camera.height, self.camera.width
-        weight = presence(uv, width, height, -0.5)[0] * np.isfinite(du)
+        weight = presence(uv, width, height, -0.5) * np.isfinite(du)
         shown = weight > 0
         column, row = (np.rint(np.where(shown, at, 0.0)).astype(np.intp) for at in (u, v))
         pixel = np.clip(row, 0, height - 1) * width + np.clip(column, 0, width - 1)

@@ -28,19 +28,26 @@ _FADE_PX = 10.0
 """Points count less from this distance to the border on: a pose that moves them out changes a cost steadily."""
 
 
-def presence(uv: Float, width: int, height: int, border: float) -> tuple[Float, Float]:
-    """Return weights (...) of positions (..., 2) and their derivatives (..., 2) by u, v.
+def presence(uv: Float, width: int, height: int, border: float) -> Float:
+    """Return weights (...) of positions (..., 2).
 
     The weight is 0 outside and at `border` px from the outermost pixel centres, and 1 from 10 px further inside.
     """
-    far = np.array([width - 1.0, height - 1.0]) - border
+    u, v, far_ends = uv[..., 0], uv[..., 1], (width - 1 - border, height - 1 - border)
     with np.errstate(invalid="ignore"):
-        inside = np.stack([uv - border, far - uv], axis=-1) / _FADE_PX
-        by_axis, nearer = np.nan_to_num(inside.min(axis=-1), nan=-1.0), np.where(inside[..., 0] < inside[..., 1], 1, -1)
-    weight = np.clip(by_axis.min(axis=-1), 0.0, 1.0)
+        across, down = (np.minimum(x - border, far - x) for x, far in zip((u, v), far_ends, strict=True))
+        weight = np.clip(np.minimum(across, down) / _FADE_PX, 0.0, 1.0)
+    return np.where(np.isnan(weight), 0.0, weight)
+
+
+def presence_slope(uv: Float, width: int, height: int, border: float) -> Float:
+    """Return the derivatives (..., 2) by u, v of `presence`."""
+    with np.errstate(invalid="ignore"):
+        to_low, to_high = uv - border, np.array([width, height]) - 1 - border - uv
+        by_axis = np.minimum(to_low, to_high) / _FADE_PX
+    fading = (by_axis > 0).all(axis=-1) & (by_axis < 1).any(axis=-1)
     least = np.arange(2) == by_axis.argmin(axis=-1)[..., None]
-    fading = (weight > 0) & (weight < 1)
-    return weight, np.where(least & fading[..., None], nearer / _FADE_PX, 0.0)
+    return np.where(least & fading[..., None], np.where(to_low < to_high, 1, -1) / _FADE_PX, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,10 +58,15 @@ class Levels:
     count: int
     border: ClassVar[float]
 
-    def presence(self, uv: Float) -> tuple[Float, Float]:
-        """Return weights (...) of positions (..., 2) and their derivatives; those of weight 0 cannot be sampled."""
+    def presence(self, uv: Float) -> Float:
+        """Return weights (...) of positions (..., 2); those of weight 0 cannot be sampled."""
         height, width = self.level.shape
         return presence(uv, width, height, self.border)
+
+    def presence_slope(self, uv: Float) -> Float:
+        """Return the derivatives (..., 2) of the weights."""
+        height, width = self.level.shape
+        return presence_slope(uv, width, height, self.border)
 
     def taps(self, uv: Float, *, slopes: bool = False) -> Iterator[Tap]:
         """Yield the shares of points at places (..., 2), all of which are shown."""
@@ -116,7 +128,7 @@ class Spline(Levels):
 def cubic(f: Float) -> tuple[Float, Float, Float, Float]:
     """Return the weights of pixels -1, 0, 1, 2 at f (...) from 0 to 1 between 0 and 1: uniform cubic B-spline."""
     g = 1 - f
-    return g**3 / 6, (4 - 3 * f**2 * (2 - f)) / 6, (4 - 3 * g**2 * (2 - g)) / 6, f**3 / 6
+    return g * g * g / 6, (4 - 3 * f**2 * (2 - f)) / 6, (4 - 3 * g**2 * (2 - g)) / 6, f * f * f / 6
 
 
 def cubic_slope(f: Float) -> tuple[Float, Float, Float, Float]:
@@ -143,7 +155,8 @@ def ranked_levels(values: Float, bins: int) -> Int:
 def joint_counts(row: Int, column: Int, weight: Float, rows: int, columns: int) -> Float:
     """Return joint histograms (B, R, C) of rows (N,), the same for all, and columns (B, N), with weights (B, N)."""
     many = len(column)
-    cell = (np.arange(many)[:, None] * rows + row) * columns + column
+    cell = row * columns + column
+    cell += np.arange(many)[:, None] * (rows * columns)
     return np.asarray(np.bincount(cell.ravel(), weight.ravel(), many * rows * columns).reshape(many, rows, columns))
 
 

@@ -53,7 +53,7 @@ class SeenPoints:
 
     def _counts(self, poses: Float) -> Float:
         uv = self.camera.project(p2o.se3.apply(poses, self.xyz))
-        weight, _ = self.levels.presence(uv)
+        weight = self.levels.presence(uv)
         uv = np.where(weight[..., None] > 0, uv, 2.0)
         out = np.zeros((len(poses), self.rows, self.levels.count))
         for tap in self.levels.taps(uv):
@@ -67,7 +67,7 @@ class SeenPoints:
         """
         xyz = p2o.se3.apply(pose, self.xyz)
         uv = self.camera.project(xyz)
-        weight, fade = self.levels.presence(uv)
+        weight, fade = self.levels.presence(uv), self.levels.presence_slope(uv)
         seen = np.flatnonzero(weight > 0)
         _, by_place = self.camera.project_with_jacobian(xyz[seen])
         by_update = np.concatenate([-p2o.se3.skew(xyz[seen]), np.broadcast_to(np.eye(3), (len(seen), 3, 3))], axis=2)

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+import numpy as np
 import p2o
 from p2o import Float, field
 from p2o.solving import Objective
@@ -43,7 +44,7 @@ class NidOptions(p2o.Options):
 def build(options: NidOptions) -> p2o.Matcher:
     """Return the matcher `(views, camera_from_lidar (4, 4), reach_px) -> Objective`: the information distance."""
     levels: Callable[[p2o.GreyMap], Spline] = remembered(
-        lambda grey: Spline(ranked_levels(grey.values, options.bins), options.bins)
+        lambda grey: Spline(ranked_levels(grey.values, options.bins).astype(np.uint8), options.bins)
     )
 
     def match(views: Sequence[p2o.View], camera_from_lidar: Float, reach_px: float) -> Objective:
