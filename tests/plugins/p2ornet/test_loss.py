@@ -76,15 +76,6 @@ def test_pairs_alone_cost_their_balanced_cross_entropy() -> None:
     assert float(loss) == pytest.approx(np.log(3) * (6 + 4 * 2) / 8)
 
 
-def test_nothing_known_costs_nothing() -> None:
-    logits = random_logits(0).requires_grad_()
-    loss = order_loss(logits, torch.full((1, 2, H, W), -1, dtype=torch.int8), *NO_BAGS, 4.0)
-    loss.backward()  # type: ignore[no-untyped-call]
-    assert float(loss.detach()) == 0
-    assert logits.grad is not None
-    assert float(logits.grad.abs().max()) == 0
-
-
 def test_unknown_pairs_outside_of_all_stretches_teach_nothing_and_all_others_do() -> None:
     logits = random_logits(1).requires_grad_()
     classes, bags, chosen, weight = random_labels(1)

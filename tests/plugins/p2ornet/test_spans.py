@@ -9,7 +9,7 @@ import pytest
 from p2o import Camera, Cloud, Frame, occlusion
 from p2o_plugins.p2ornet.augment import draw
 from p2o_plugins.p2ornet.example import UNKNOWN, example_of
-from p2o_plugins.p2ornet.spans import EAST, SOUTH, Spans, classes_of, depth_spans, lidar_spans
+from p2o_plugins.p2ornet.spans import EAST, SOUTH, Spans, depth_spans, lidar_spans
 from p2o_sim.synthetic import SyntheticOptions, build
 from scipy import ndimage
 
@@ -29,15 +29,6 @@ def occlusions(spans: Spans) -> Spans:
 # ---- arithmetic
 
 
-def test_ends_come_in_any_order_and_joining_keeps_all() -> None:
-    line, a, b = np.array([1.0, 2.0]), np.array([5.0, 3.0]), np.array([2.0, 8.0])
-    spans = Spans.joined(Spans.of(EAST, 1, line, a, b, 0.5), Spans.joined(), Spans.of(SOUTH, 0, line, a, b))
-    assert table(spans) == [(0, 1, 1, 2, 5), (0, 1, 2, 3, 8), (1, 0, 1, 2, 5), (1, 0, 2, 3, 8)]
-    assert len(spans) == 4
-    assert spans.rows["weight"].tolist() == [0.5, 0.5, 1, 1]
-    assert len(Spans.joined()) == 0
-
-
 def test_moving_scales_about_the_corner_of_the_image_then_shifts_then_mirrors() -> None:
     east = Spans.of(EAST, 1, np.array([10.0]), np.array([4.0]), np.array([6.0]))
     south = Spans.of(SOUTH, -1, np.array([10.0]), np.array([4.0]), np.array([6.0]))
@@ -47,17 +38,6 @@ def test_moving_scales_about_the_corner_of_the_image_then_shifts_then_mirrors() 
     # 40 columns: column c becomes 39 - c, and what hid the pixel to its right now hides the one to its left.
     assert table(east.moved(2.0, (3.0, 1.0), 40)) == [(0, -1, 19.5, 29.5, 33.5)]
     assert table(south.moved(2.0, (3.0, 1.0), 40)) == [(1, -1, 21.5, 7.5, 11.5)]
-
-
-def test_moving_leaves_the_original_alone() -> None:
-    spans = Spans.of(EAST, 1, np.array([10.0]), np.array([4.0]), np.array([6.0]))
-    before = spans.rows.copy()
-    spans.moved(1.3, (2.0, 1.0), 50)
-    np.testing.assert_array_equal(spans.rows, before)
-
-
-def test_classes_are_orders_plus_one() -> None:
-    assert classes_of(np.array([-1, 0, 1], np.int8)).tolist() == [0, 1, 2]
 
 
 # ---- sparse depth
@@ -75,14 +55,6 @@ def test_a_box_in_sparse_depth_has_an_edge_on_each_side_between_the_last_known_p
     smooth = [(axis, 0, 3, u, u + 1) for u in [*range(2, 8), *range(10, 15), *range(18, 23)]]
     assert table(found, 0) == smooth
     assert (found.rows["weight"] == 1).all()
-
-
-def test_the_true_pair_lies_in_the_stretch_wherever_the_unknown_pixels_would_belong() -> None:
-    depth = np.full((1, 20), NAN)
-    depth[0, :8], depth[0, 10:] = 20.0, 5.0
-    row = occlusions(depth_spans(depth)).rows[0]
-    for first in (7, 8, 9):  # the pair whose first pixel is the last of the wall
-        assert row["start"] <= first + 0.5 <= row["end"]
 
 
 def test_far_apart_thin_or_unequal_pixels_say_nothing() -> None:
