@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from p2o import Cloud, InputError, Side
+from p2o import Cloud, Side
 from p2o_plugins.cloud import rings
 from p2o_plugins.cloud.range_view import METHOD, RangeViewOptions
 from p2o_plugins.cloud.rings import RingsOptions
@@ -98,12 +98,6 @@ def test_sigma_is_the_spread_of_the_outline_over_the_gap():
     error, sigma = np.concatenate(error), np.concatenate(sigma)
     assert abs(error.mean()) < 0.2 * sigma.mean()
     np.testing.assert_allclose(np.sqrt(np.mean(sigma**2)), error.std(), rtol=0.25)
-
-
-def test_the_letter_and_the_background_direction_agree():
-    edges = edges_of(SWEEPS["no order"], ground_height_m=0)
-    for side, axis, sign in ((Side.LEFT, 1, 1), (Side.RIGHT, 1, -1), (Side.UPPER, 2, 1), (Side.BOTTOM, 2, -1)):
-        assert (sign * edges.background[edges.side == side, axis] > 0.8).all()
 
 
 def test_mirroring_left_and_right_swaps_l_and_r_and_leaves_u_and_b():
@@ -219,11 +213,6 @@ def test_clouds_that_hold_no_surface_have_no_edges(xyz):
     assert len(features.edges) == 0
     assert features.edges.sigma_m.shape == (0,)
     assert len(features.points) <= len(xyz)
-
-
-def test_points_that_are_no_numbers_never_get_here():
-    with pytest.raises(InputError):
-        edges_of(Cloud([[np.nan, 0, 0]]))
 
 
 def test_edges_of_a_sweep_as_measured_know_when_they_were_seen():

@@ -103,14 +103,6 @@ def test_neighbours_across_rings_are_those_of_a_search_over_all_pairs(step):
     assert not across_rings(sweep, step, 1.0, 0.5).known.any()
 
 
-def test_a_ring_without_returns_leaves_its_neighbours_without_neighbour():
-    cloud = Cloud([[10.0, 0, 1], [10, 0.1, -1]], ring=[0, 7])
-    sweep = order_sweep(cloud)
-    assert across_rings(sweep, 1, 1.0, 45.0).known.tolist() == [True, False]
-    assert across_rings(sweep, -1, 1.0, 45.0).known.tolist() == [False, True]
-    assert not across_rings(sweep, 1, 1.0, 3.0).known.any()
-
-
 def test_of_returns_of_one_ray_only_the_nearest_stays():
     xyz = np.array([[10.0, 0, 0], [5, 0, 0], [20, 0, 0], [9, 1, 0], [0, 0, 3]])
     sweep = order_sweep(Cloud(xyz, ring=[0, 0, 0, 0, 0]))

@@ -88,18 +88,6 @@ def test_the_sky_is_a_background() -> None:
     assert len(edges(image(depth_m))) == 4 * 30
 
 
-def test_the_picture_itself_plays_no_part() -> None:
-    depth_m = board(29.5, 59.5, 19.5, 49.5)
-    dark, bright = edges(image(depth_m, level=0)), edges(image(depth_m, level=200))
-    np.testing.assert_array_equal(dark.uv, bright.uv)
-    assert (dark.weight == 1).all()
-
-
 def test_a_picture_without_depth_is_refused_with_a_way_out() -> None:
     with pytest.raises(InputError, match=r"^depth: the image has no depth.*--extractor"):
         edges(image(None))
-
-
-def test_the_method_says_what_it_needs_and_gives() -> None:
-    assert METHOD.gives == {"image-edges", "side"}
-    assert METHOD.needs == {"depth"}

@@ -90,12 +90,6 @@ def test_where_no_lidar_edge_is_in_sight_the_given_start_is_all_there_is() -> No
     assert search.build(search.SearchOptions())([view], behind) == [behind]
 
 
-def test_the_search_is_the_same_for_the_same_seed() -> None:
-    start = wrong_start(edge_scene.TRUTH, 2.0, 0.1, np.random.default_rng(1))
-    one, two = (search.build(search.SearchOptions(seed=3))([haunted(1)], start) for _ in range(2))
-    np.testing.assert_array_equal(np.stack(one), np.stack(two))
-
-
 def test_populations_that_are_narrowed_together_end_where_each_ends_alone() -> None:
     view, start, unit = edge_scene.view(), edge_scene.TRUTH, np.repeat([0.03, 0.1], 3)
     costs = [DirectedCost.of([view], start, width, smooth=False) for width in (20.0, 10.0)]
