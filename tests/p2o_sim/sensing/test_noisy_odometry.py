@@ -17,14 +17,6 @@ def test_without_noise_poses_are_those_of_the_drive_seen_from_the_first() -> Non
         np.testing.assert_allclose(found, se3.inverse(DRIVE[0]) @ pose, atol=1e-12)
 
 
-def test_another_mounting_changes_nothing_of_the_first_pose_and_moves_the_others_by_conjugation() -> None:
-    mounted = se3.exp(np.array([0.1, -0.2, 1.5, 0.3, 0.1, -0.2]))
-    own, other = (odometry(poses, np.random.default_rng(0)) for poses in (DRIVE, [p @ mounted for p in DRIVE]))
-    np.testing.assert_array_equal(other[0], np.eye(4))
-    for a, b in zip(own, other, strict=True):
-        np.testing.assert_allclose(mounted @ b, a @ mounted, atol=1e-12)
-
-
 def test_errors_of_steps_have_their_size_and_add_up() -> None:
     still = [np.eye(4)] * 1501
     poses = odometry(still, np.random.default_rng(1), noise_deg=0.1, noise_m=0.02)
