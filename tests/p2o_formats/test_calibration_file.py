@@ -37,11 +37,6 @@ def test_a_layout_of_kitti_has_its_keys(tmp_path: Path, layout: str, expected: d
         np.testing.assert_array_equal(calibration.numbers(key, value.shape), value)
 
 
-def test_the_forms_that_people_ask_for_are_there() -> None:
-    wanted = {"ros2", "autoware", "koide", "opencalib", "kalibr", "colmap", "colmap-cameras", "opencv", "npy", "text"}
-    assert wanted | {"kitti", "matrix", "camera-info"} <= set(BY_NAME)
-
-
 COMMENT = "p2o: trusted; predicted error 0.21 deg, 3.4 cm (67 %), 0.50 deg, 8.1 cm (95 %)"
 FORMS = [(name, {}) for name in sorted(BY_NAME)] + [("ros2", {"form": form}) for form in ("launch", "urdf")]
 
