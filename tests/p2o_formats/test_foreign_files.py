@@ -193,7 +193,7 @@ KITTI_DISTORTION = (-0.3, 0.1, 0.001, 0.001, -0.05, 0, 0, 0)
     ("text", "reading", "pose"),
     [
         (
-            "static_transform_publisher --frame-id cam0 --child-frame-id lidar \\\n  --roll 0 --pitch 0 --yaw 0 --z -0.3",
+            "static_transform_publisher --frame-id cam0 --child-frame-id lidar --roll 0 --pitch 0 --z -0.3",
             {},
             se3.make(translation=[0, 0, -0.3]),
         ),
