@@ -31,9 +31,15 @@ def test_frames_are_named_by_sequence_and_number(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("camera", range(4))
-def test_every_camera_has_its_own_exact_extrinsic(tmp_path: Path, camera: int) -> None:
+def test_every_camera_has_its_exact_extrinsic_and_left_ones_their_right_picture(tmp_path: Path, camera: int) -> None:
     write_frame(tmp_path, "00", 0, camera)
+    right = write_image(tmp_path / f"sequences/00/image_{camera + 1}/000000.png", grey=camera < 2, seed=4)
     frame = dataset(tmp_path, camera=camera)[0]
+    assert (frame.image.right is None) == (camera in (1, 3))
+    if camera == 2:
+        assert np.array_equal(frame.image.right, right)
+        assert frame.image.baseline_m == pytest.approx(0.54)
+    assert dataset(tmp_path, camera=camera, right=False)[0].image.right is None
     offset = np.linalg.solve(PROJECTIONS[camera][:, :3], PROJECTIONS[camera][:, 3])
     assert np.allclose(frame.camera_from_lidar, se3.make(translation=offset) @ R_RECT @ VELO_TO_CAM, atol=1e-11)
     assert len(frame.warnings) == (1 if camera < 2 else 0)
@@ -41,29 +47,16 @@ def test_every_camera_has_its_own_exact_extrinsic(tmp_path: Path, camera: int) -
     assert (frame.cloud.ring.max(), frame.cloud.time_s) == (63, None)
 
 
-def test_the_right_picture_comes_with_its_baseline(tmp_path: Path) -> None:
-    folder = write_frame(tmp_path, "00", 0)
-    right = write_image(folder / "image_3/000000.png", seed=4)
-    image = dataset(tmp_path)[0].image
-    assert np.array_equal(image.right, right)
-    assert image.baseline_m == pytest.approx(0.54)
-    assert dataset(tmp_path, right=False)[0].image.right is None
-
-
-def test_a_calibration_without_tr_is_named(tmp_path: Path) -> None:
-    folder = write_frame(tmp_path, "00", 0)
-    write_lines(folder / "calib.txt", {"P2": numbers(PROJECTIONS[2]), "P3": numbers(PROJECTIONS[3])})
-    with pytest.raises(UnknownNameError, match=r"00/calib\.txt: unknown key 'Tr'"):
-        dataset(tmp_path)[0]
-
-
-def test_missing_sweeps_are_named_and_an_empty_folder_says_what_it_should_hold(tmp_path: Path) -> None:
+def test_missing_sweeps_and_keys_are_named_and_an_empty_folder_says_what_it_should_hold(tmp_path: Path) -> None:
     with refused("no KITTI odometry frames"):
         dataset(tmp_path)
     folder = write_frame(tmp_path, "00", 0)
     write_image(folder / "image_2/000001.png")
     with refused(r"velodyne/000001\.bin is missing"):
         dataset(tmp_path).frame("00/000001")
+    write_lines(folder / "calib.txt", {"P2": numbers(PROJECTIONS[2]), "P3": numbers(PROJECTIONS[3])})
+    with pytest.raises(UnknownNameError, match=r"00/calib\.txt: unknown key 'Tr'"):
+        dataset(tmp_path)[0]
 
 
 def write_poses(root: Path, poses: list[np.ndarray]) -> None:

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from p2o import InputError, UnknownNameError, se3
 from p2o_datasets.bags.messages import Header, Transform
@@ -22,6 +22,7 @@ def pose(seed: int) -> Any:
     return se3.exp(np.random.default_rng(seed).normal(size=6))
 
 
+@settings(max_examples=40)
 @given(parents=st.lists(st.integers(0, 100), min_size=1, max_size=8), seed=st.integers(0, 1000))
 def test_poses_of_a_tree_are_those_of_its_frames_in_the_world(parents: list[int], seed: int) -> None:
     world_from = [pose(seed + i) for i in range(len(parents) + 1)]
