@@ -116,8 +116,10 @@ def test_fields_are_found_by_all_names_in_every_format(tmp_path: Path, form: str
 
 
 @pytest.mark.parametrize("form", FORMATS)
-@pytest.mark.parametrize("per", [1, 1e3, 1e6, 1e9], ids=["s", "ms", "us", "ns"])
-@pytest.mark.parametrize("start_s", [0.0, -0.05, 1_700_000_000.0], ids=["relative", "before", "absolute"])
+@pytest.mark.parametrize(
+    ("per", "start_s"),
+    [(1, 0.0), (1, 1.7e9), (1e3, -0.05), (1e3, 1.7e9), (1e6, 0.0), (1e6, 1.7e9), (1e9, -0.05), (1e9, 1.7e9)],
+)
 def test_times_of_any_unit_are_seconds_after_the_image_in_every_format(
     tmp_path: Path, form: str, per: float, start_s: float
 ) -> None:

@@ -146,18 +146,6 @@ def test_what_a_second_sensor_sees_behind_a_surface_makes_no_edges_within_it():
     assert np.count_nonzero(inside) < 0.02 * len(edges)
 
 
-def test_a_strip_that_nobody_saw_behind_an_outline_leaves_the_edge_at_the_surface():
-    """Where another sensor saw the background, it ends some way from the outline; the surface does not."""
-    cloud = scan(BOARD, WALL)
-    away = np.abs(np.column_stack([cloud.xyz[:, 1] / cloud.xyz[:, 0] - 0.4 / 7.9, cloud.xyz[:, 2] / cloud.xyz[:, 0]]))
-    strip = (cloud.xyz[:, 0] > 10) & (away.max(axis=1) < 1 / 7.9 + np.radians(0.5))
-    whole, cut = edges_of(cloud, ground_height_m=0), edges_of(cloud.select(~strip), ground_height_m=0)
-    for side in SIDES:
-        error, before = outline_error_m(cut, side), outline_error_m(whole, side)
-        assert len(error) > 0.4 * len(before)
-        assert abs(np.median(error) - np.median(before)) < 0.01
-
-
 @pytest.mark.parametrize("yaw_deg", [0, 40, 60, 75])
 def test_a_slanted_wall_alone_has_no_edges(yaw_deg):
     n = np.radians(yaw_deg)

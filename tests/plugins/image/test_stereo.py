@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from p2o import SIDES, Camera, Image, InputError, Side
 from p2o_plugins.image import stereo
-from p2o_plugins.image.disparity import PairView, fill_with_background, ground
-from p2o_plugins.image.silhouette import Silhouettes, line_lengths, snap, support
+from p2o_plugins.image.disparity import PairView, ground
+from p2o_plugins.image.silhouette import Silhouettes
 from p2o_plugins.image.stereo import METHOD, StereoOptions, height_m
 from scipy.ndimage import gaussian_filter, map_coordinates
 
@@ -172,12 +172,6 @@ def test_a_single_picture_is_refused_with_a_hint():
         edges_of(single)
 
 
-def test_gaps_are_filled_with_the_smaller_neighbour_of_the_row():
-    known = np.array([[0, 1, 0, 0, 1, 0], [0, 0, 0, 0, 0, 0]], bool)
-    disparity = np.array([[9, 5, 9, 9, 2, 9], [9, 9, 9, 9, 9, 9]], np.float32)
-    assert np.array_equal(fill_with_background(disparity, known), [[5, 5, 2, 2, 2, 2], [0, 0, 0, 0, 0, 0]])
-
-
 def test_the_ground_plane_is_found_among_objects_and_gives_heights():
     """Camera 1.6 m above a road: disparity 0.5 / 1.6 px a row below row 40; a wall stands on a third of it."""
     slope = 0.5 / 1.6
@@ -190,25 +184,6 @@ def test_the_ground_plane_is_found_among_objects_and_gives_heights():
     # At row 72 the road has disparity 10: a point of disparity 10 lies on it, one of 20 half way up to the camera.
     points = Silhouettes(np.array([[100.0, 72.0], [100.0, 72.0]]), np.array([10.0, 20.0]), np.zeros((2, 13)))
     assert np.allclose(height_m(points, plane, 0.5), [0.0, 0.8], atol=0.01)
-
-
-def test_snapping_finds_a_blurred_step_to_a_tenth_of_a_pixel_and_nothing_on_a_plain_row():
-    step = gaussian_filter(200 * np.clip(np.arange(40) - 17.3 + 0.5, 0, 1), 0.7)
-    picture = np.repeat(np.tile(step, (9, 1))[..., None], 4, axis=2).astype(np.float32)
-    found = snap(picture, np.array([[16.4, 4.0], [30.0, 4.0]]), 1.5)
-    assert found[0] == pytest.approx(17.3, abs=0.1)
-    assert np.isnan(found[1])
-
-
-def test_a_line_is_as_long_as_its_points_and_supports_them():
-    line = np.stack([np.full(9, 20.0), np.arange(10.0, 19.0)], axis=1)
-    lone = np.array([[30.0, 30.0]])
-    points = np.concatenate([line, lone])
-    assert line_lengths(points, (40, 50)).tolist() == [9] * 9 + [1]
-    beside = support(points, np.ones(10), Side.LEFT, (40, 50))
-    assert beside[4] == pytest.approx(1.0)
-    assert beside[0] == pytest.approx(0.5)
-    assert beside[9] == 0
 
 
 @pytest.mark.real

@@ -231,19 +231,6 @@ def test_crops_lie_inside_of_the_picture_wherever_it_is_large_enough() -> None:
         assert (got.classes[SOUTH] == 1).sum() >= 48 * 64
 
 
-def test_half_of_the_crops_are_mirrored_and_none_without_leave() -> None:
-    example = step_example(EAST, 60, 1)
-    options = Augmentation(scale=1, light=0, blur_px=0, noise=0)
-
-    def classes(chosen: Augmentation) -> list[int]:
-        crops = [crop(example, (90, 120), chosen, np.random.default_rng(seed)) for seed in range(60)]
-        return [int(c.bag_class[0]) for c in crops]
-
-    # Binomial with 60 draws: 30 +- 3.9; five of these deviations.
-    assert 11 < classes(options).count(0) < 49
-    assert classes(STILL).count(0) == 0
-
-
 def floats(*pixels: tuple[float, float, float]) -> Any:
     return np.array([pixels], np.float32)
 

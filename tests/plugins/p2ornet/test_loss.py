@@ -127,29 +127,3 @@ def test_the_loss_does_not_change_when_picture_and_labels_are_mirrored() -> None
     )
     unturned = float(order_loss(flipped, mirrored_classes, moved, chosen, weight, 4.0))
     assert float(direct) != pytest.approx(unturned, rel=1e-3)
-
-
-def test_the_weight_of_occlusions_scales_occlusions_alone() -> None:
-    logits = random_logits(4)
-    labels = random_labels(4)
-    at = [float(order_loss(logits, *labels, weight)) for weight in (0.0, 1.0, 2.0)]
-    assert at[1] - at[0] == pytest.approx(at[2] - at[1])
-    assert at[1] > at[0]
-    smooth = labels[0].clone()
-    smooth[smooth != 1] = -1
-    count = int((labels[0] >= 0).sum())
-    none = float(order_loss(logits, smooth, *NO_BAGS, 4.0)) * int((smooth == 1).sum()) / count
-    assert at[0] == pytest.approx(none)
-
-
-def test_the_loss_of_a_batch_is_the_sum_over_its_pictures() -> None:
-    logits = random_logits(5, batch=3)
-    classes, bags, chosen, weight = random_labels(5, batch=3)
-    together = float(order_loss(logits, classes, bags, chosen, weight, 4.0))
-    alone = 0.0
-    for i in range(3):
-        own = slice(4 * i, 4 * i + 4)
-        inside = torch.where(bags[own] >= 0, bags[own] - i * 2 * H * W, -1)
-        one = order_loss(logits[i : i + 1], classes[i : i + 1], inside, chosen[own], weight[own], 4.0)
-        alone += float(one)
-    assert together == pytest.approx(alone, rel=1e-6)

@@ -137,34 +137,6 @@ def truth(place: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("axis", [EAST, SOUTH])
-@pytest.mark.parametrize("order", [-1, 1])
-def test_a_jump_of_the_sweep_is_an_occlusion_of_its_order_in_its_stretch(axis: int, order: int) -> None:
-    """All stretches but those at the ends of outlines, which the row or column of pixels misses, hold the edge.
-
-    An outline is met by some 15 rings, but its upper and lower border by two or three pieces of rings, and the last
-    stretch of each may pass beside the corner. The others that miss (seen in pictures of them) lie under eaves and
-    gables, where the two sensors do not see the same, and one pixel beside the edges of what is nearer than 7 m.
-    """
-    spans = labels("street")
-    orders, leaves = truth("street")
-    chosen = spans.rows[(spans.rows["axis"] == axis) & (spans.rows["order"] == order)]
-    hits = []
-    for row in chosen:
-        empty = np.full(orders.shape, UNKNOWN, np.int8)
-        bags, number, _ = draw(Spans(np.array([row])), empty)
-        if len(bags) == 0:
-            continue  # outside of the image, or too long
-        assert number.tolist() == [order + 1]
-        pairs = bags[0][bags[0] >= 0]
-        if not leaves.reshape(-1)[pairs % leaves.size].any():
-            hits.append((orders.reshape(-1)[pairs] == order).any())
-    assert len(hits) > 40
-    assert np.mean(hits) >= (0.93 if axis == EAST else 0.85)
-    assert chosen["weight"].min() > 0
-    assert chosen["weight"].max() <= 1
-
-
-@pytest.mark.parametrize("axis", [EAST, SOUTH])
 def test_where_the_sweep_goes_on_there_is_no_occlusion(axis: int) -> None:
     """At least 99 % of the pairs told to be none are none; the rest lies on outlines that pass between two beams."""
     orders, leaves = truth("street")
@@ -173,19 +145,6 @@ def test_where_the_sweep_goes_on_there_is_no_occlusion(axis: int) -> None:
     told = (classes[axis] == 1) & ~leaves
     assert told.sum() > 5000
     assert np.mean(orders[axis][told] == 0) >= 0.99
-
-
-def test_what_a_sweep_calls_an_occlusion_it_does_not_also_call_none() -> None:
-    """No stretch without an occlusion reaches into the near end of one with: the same picture cannot teach both."""
-    found = labels("street").rows
-    smooth, edges = found[found["order"] == 0], found[found["order"] != 0]
-    across = 0.0
-    for axis in (EAST, SOUTH):
-        none, one = smooth[smooth["axis"] == axis], edges[edges["axis"] == axis]
-        overlap = np.minimum(one["end"][:, None], none["end"]) - np.maximum(one["start"][:, None], none["start"])
-        same = np.abs(one["line"][:, None] - none["line"]) < 0.25
-        across = max(across, float((overlap * same).max(axis=1).clip(0).mean()))
-    assert across < 0.15  # px; what is left comes from neighbouring rings
 
 
 def test_the_sides_of_the_sweep_have_the_orders_of_the_picture() -> None:
