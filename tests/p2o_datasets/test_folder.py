@@ -221,10 +221,6 @@ WORDS = "roughly x forward, z up; camera looks forward; camera 0.27 m forward, 8
         ({"sequence": 5}, "sequence is not valid"),
         ({"time_s": "noon"}, "time_s is not valid"),
         ({"time_s": float("nan")}, "time_s is not valid"),
-        *(
-            ({"camera_name": name}, "the name of a camera is not valid")
-            for name in ("front left", "front,left", "a\tb", "x" * 101)
-        ),
     ],
 )  # fmt: skip
 def test_a_wrong_value_is_refused_by_its_key(tmp_path: Path, content: dict[str, Any], message: str) -> None:
@@ -249,6 +245,7 @@ def test_a_wrong_value_is_refused_by_its_key(tmp_path: Path, content: dict[str, 
                 {"targets": [{**BOARD, "width_m": 1e300}]},
             )
         ),
+        *((None, {"camera_name": name}, "the name of a camera") for name in ("front left", "a,b", "a\tb", "x" * 101)),
         (None, {"cloud_columns": ["x", "y", "z", "rung"]}, r"cloud\.bin: wrong cloud_columns; .*got x y z rung"),
         (None, {"twist": [0, 0, 0, 10, 0, 0]}, r"cloud\.bin: a sweep without times cannot be compensated for motion"),
         (None, {"start": "calib.json"}, "calib.json: the calibration file is missing"),
