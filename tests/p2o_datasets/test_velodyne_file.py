@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from p2o import Cloud, se3
 from p2o_datasets.velodyne_file import (
     raise_elevation,
     read_sweep,
@@ -46,17 +45,6 @@ def test_the_unit_spins_clockwise_so_left_comes_first_and_ahead_is_time_zero() -
     assert (left, ahead, right) == pytest.approx((-0.025, 0.0, 0.025), abs=1e-15)
 
 
-def test_untwisting_is_the_exponential_of_twist_times_time() -> None:
-    rng = np.random.default_rng(4)
-    cloud = Cloud(rng.uniform(-50, 50, (300, 3)), time_s=rng.uniform(-0.05, 0.05, 300))
-    twist = np.array([0.3, -0.5, 0.9, 20.0, -3.0, 1.0])
-    each = se3.exp(twist * cloud.time_s[:, None])
-    expected = np.einsum("nij,nj->ni", each[:, :3, :3], cloud.xyz) + each[:, :3, 3]
-    assert np.allclose(cloud.untwisted(twist).xyz, expected, atol=1e-11)
-    without_times = Cloud(cloud.xyz)
-    assert without_times.untwisted(twist) is without_times
-
-
 def test_raising_elevations_keeps_ranges_and_azimuths() -> None:
     xyz = np.random.default_rng(8).uniform(-30, 30, (100, 3))
     raised = raise_elevation(xyz, 0.2)
@@ -64,10 +52,3 @@ def test_raising_elevations_keeps_ranges_and_azimuths() -> None:
     assert np.allclose(elevation[1] - elevation[0], 0.2, atol=1e-10)
     assert np.allclose(np.linalg.norm(raised, axis=1), np.linalg.norm(xyz, axis=1))
     assert np.allclose(azimuths(raised), azimuths(xyz))
-
-
-def test_the_elevation_fix_is_applied_on_reading(tmp_path: Path) -> None:
-    write_sweep(tmp_path / "a.bin")
-    plain, fixed = (read_sweep(tmp_path / "a.bin", sweep_s=0.1, elevation_fix_deg=d)[0] for d in (0.0, 0.2))
-    assert np.allclose(fixed.xyz, raise_elevation(plain.xyz, 0.2))
-    assert np.array_equal(fixed.ring, plain.ring)

@@ -17,11 +17,7 @@ from .drive import SPEED_M_S, TURN_RAD_S, car, mounted, through, tilted
 SEGMENT = "10017090168044687777_6380_000_6400_000"
 START_US = 1_550_083_467_346_370
 WIDTH, HEIGHT = 96, 64
-LENS = {
-    "f_u": 80.0,
-    "f_v": 81.0,
-    "c_u": 47.6,
-    "c_v": 31.2,
+LENS = {"f_u": 80.0, "f_v": 81.0, "c_u": 47.6, "c_v": 31.2} | {
     "k1": 0.04,
     "k2": -0.3,
     "p1": 0.002,

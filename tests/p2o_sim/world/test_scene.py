@@ -7,7 +7,7 @@ import pytest
 from p2o import InputError, se3
 from p2o.geometry.motion import pose_at
 from p2o_sim import Material, Mesh, Mover, Part, Scene
-from p2o_sim.world.mesh import box, boxes, circle, cylinder, join, leaves, loft, swept, tubes, wheel
+from p2o_sim.world.mesh import box, boxes, circle, cylinder, join, loft, tubes, wheel
 
 from tests.p2o_sim.walls import volume
 
@@ -42,23 +42,6 @@ POLYGON = 8 * np.sin(2 * np.pi / 16)
 def test_solids_are_closed_and_have_the_volume_of_their_formula(mesh: Mesh, expected: float) -> None:
     assert _is_closed(mesh)
     assert volume([mesh]) == pytest.approx(expected, rel=1e-12)
-
-
-def test_leaves_have_their_size_and_lie_about_their_places() -> None:
-    places = np.random.default_rng(0).uniform(-5, 5, (50, 3))
-    for corners in (3, 4):
-        mesh = leaves(places, np.full(50, 0.2), np.random.default_rng(1), corners=corners)
-        tips = mesh.vertices.reshape(50, corners, 3)
-        assert len(mesh.faces) == 50 * (corners - 2)
-        assert np.linalg.norm(tips - places[:, None], axis=2).max() <= 0.55 * 0.2
-
-
-def test_a_drawn_line_is_a_sheet_that_looks_up() -> None:
-    mesh = swept(np.array([[3.0, 1.0], [-3.0, 1.0]]), np.array([0.0, 2.0, 5.0]))
-    a, b, c = np.moveaxis(mesh.vertices[mesh.faces], 1, 0)
-    area = np.cross(b - a, c - a) / 2
-    assert (area[:, 2] > 0).all()
-    assert area[:, 2].sum() == pytest.approx(6 * 5)
 
 
 def test_a_bend_keeps_lengths_along_the_middle_and_heights() -> None:

@@ -5,9 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from p2o import Cloud, Side
-from p2o_plugins.cloud import open_sky
 from p2o_plugins.cloud.rings import METHOD, RingsOptions
-from scipy import ndimage
 
 from tests.plugins.cloud.casting import GROUND, HDL32, OS128, Box, Lidar, Pole
 
@@ -104,11 +102,3 @@ def test_far_things_are_left_out_and_weights_are_as_asked():
 def test_a_sensor_that_hardly_looks_up_has_none():
     cloud = Lidar().scan(POLE, GROUND)  # an HDL-64E: 2 deg
     assert len(new(cloud)) == 0
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_masks_are_opened_as_by_scipy(seed):
-    rng = np.random.default_rng(seed)
-    mask = ndimage.uniform_filter(rng.random((rng.integers(4, 70), rng.integers(8, 200))), 3) > rng.uniform(0.3, 0.6)
-    wanted = ndimage.binary_opening(mask, np.ones((2, open_sky._CRACK), bool))
-    np.testing.assert_array_equal(open_sky._opened(mask), wanted)
