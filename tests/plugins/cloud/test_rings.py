@@ -164,17 +164,6 @@ def test_edges_near_the_ground_are_dropped_and_the_height_says_how_near():
     assert len(edges_of(cloud, ground_height_m=1.0)) == 0
 
 
-def test_an_object_across_the_seam_is_seen_like_any_other():
-    """A pole straight ahead lies on the first and last columns of each ring."""
-    edges = edges_of(Lidar(phase=0.5).scan(Pole(10, 0, 0.15), WALL, GROUND, Box((-20, 0, 0), (1, 30, 9))))
-    half_width = np.degrees(np.arcsin(0.015))
-    edges = edges.select(np.hypot(*edges.xyz[:, :2].T) < 11)
-    left, right = azimuth_deg(edges, Side.LEFT), azimuth_deg(edges, Side.RIGHT)
-    assert len(left) == len(right) == len(edges) / 2 > 30
-    np.testing.assert_allclose(left, half_width, atol=0.1)
-    np.testing.assert_allclose(right, -half_width, atol=0.1)
-
-
 @pytest.mark.parametrize("degrees", [37.0, 180.0])
 def test_a_turned_sweep_has_the_same_edges_turned(degrees):
     cloud = Lidar(step_deg=0.36, phase=0.3).scan(*random_scene(1))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from p2o import Cloud
 from p2o.geometry.motion import moved
-from p2o_plugins.cloud.sweep import across_rings, along_ring, order_sweep
+from p2o_plugins.cloud.sweep import across_rings, order_sweep
 
 from tests.plugins.cloud.casting import GROUND, HDL32, HDL64, Box, Lidar
 
@@ -67,17 +67,6 @@ def test_correcting_a_sweep_for_motion_keeps_its_rings(elevations: np.ndarray, t
     if told:
         np.testing.assert_allclose(sweep.range_m, measured.range_m, rtol=1e-5)
         np.testing.assert_array_equal(sweep.xyz(slice(None)), corrected.xyz[sweep.point])
-
-
-def test_neighbours_on_the_ring_undo_each_other_and_close_the_seam():
-    sweep = order_sweep(room(Lidar(HDL64, step_deg=0.5)))
-    left, right = along_ring(sweep, 0.6)
-    assert left.known.all()
-    assert right.known.all()
-    np.testing.assert_array_equal(right.row[left.row], np.arange(len(sweep)))
-    np.testing.assert_allclose(np.degrees(left.gap), 0.5, atol=1e-3)
-    np.testing.assert_array_equal(left.row[sweep.start[1:] - 1], sweep.start[:-1])
-    assert not along_ring(sweep, 0.4)[0].known.any()
 
 
 @pytest.mark.parametrize("step", [1, -1])

@@ -59,9 +59,8 @@ def test_a_cost_that_falls_slowly_leads_to_its_minimum(method: p2o.Method, gradi
 
 
 @every
-@pytest.mark.parametrize("weight", [1.0, 1e-9])
-def test_pairs_of_little_weight_lead_to_the_same_pose(method: p2o.Method, weight: float) -> None:
-    problem = replace(pairs(), weight=weight * pairs().weight)
+def test_pairs_of_little_weight_lead_to_the_same_pose(method: p2o.Method) -> None:
+    problem = replace(pairs(), weight=1e-9 * pairs().weight)
     angle, distance = apart(solver(method)(problem, START).camera_from_lidar, TRUTH)
     assert angle < 0.1
     assert distance < 0.03
