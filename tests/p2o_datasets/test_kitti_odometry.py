@@ -110,26 +110,12 @@ def test_files_of_times_and_poses_that_end_too_early_are_told_and_longer_ones_ar
     assert not any("ends" in warning for warning in frame.warnings)
 
 
-def test_files_whose_names_are_no_numbers_are_left_out(tmp_path: Path) -> None:
-    folder = write_frame(tmp_path, "00", 0)
-    write_image(folder / "image_2/³.png")
-    write_sweep(folder / "velodyne/³.bin")
-    found = dataset(tmp_path)
-    assert found.names == ("00/000000",)
-    assert found.skipped["00/³"].endswith("³.png: the name of the file is not a number")
-
-
-def test_a_calibration_that_is_cut_off_is_refused_or_a_warning(tmp_path: Path) -> None:
+def test_files_that_are_cut_off_are_refused_or_a_warning(tmp_path: Path) -> None:
     folder = write_frame(tmp_path, "00", 0)
     whole = (folder / "calib.txt").read_text()
-    (folder / "times.txt").write_text("0.000000e+00\n")
-    assert dataset(tmp_path)[0].warnings == ()
     (folder / "calib.txt").write_text(whole[:-1])
     (warning,) = dataset(tmp_path)[0].warnings
     assert "calib.txt: the last line has no line end" in warning
-    (folder / "calib.txt").write_text(whole[:-2])
-    with refused(r"calib\.txt: the file is truncated"):
-        dataset(tmp_path)[0]
     (folder / "calib.txt").write_text(whole)
     (folder / "times.txt").write_text("0.000000e+00\n1.036224e-0")
     assert dataset(tmp_path)[0].time_s == 0

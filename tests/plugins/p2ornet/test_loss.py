@@ -7,7 +7,6 @@ import itertools
 import numpy as np
 import pytest
 import torch
-from p2o_plugins.p2ornet.augment import mirrored
 from p2o_plugins.p2ornet.loss import DOUBT, exactly_one, order_loss
 from torch import Tensor
 
@@ -108,22 +107,3 @@ def test_one_wrong_stretch_costs_a_limited_amount() -> None:
     classes[0, 0, 0, :5] = 1
     bag = (torch.tensor([[20, 21, 22]]), torch.tensor([2]), torch.tensor([0.5]))
     assert float(order_loss(logits, classes, *bag, 4.0)) == pytest.approx(4.0 * 0.5 * -np.log(DOUBT) / 5, rel=1e-4)
-
-
-def test_the_loss_does_not_change_when_picture_and_labels_are_mirrored() -> None:
-    logits = random_logits(3)
-    classes, bags, chosen, weight = random_labels(3)
-    flipped = torch.full_like(logits, 7.0)  # pairs that leave the image may say anything
-    flipped[:, 0, :, :, :-1] = logits[:, 0, :, :, :-1].flip(1, 3)
-    flipped[:, 1] = logits[:, 1].flip(3)
-    axis, v, u = bags // (H * W), bags // W % H, bags % W
-    there = torch.where(axis == 0, W - 2 - u, W - 1 - u)
-    moved = torch.where(bags >= 0, (axis * H + v) * W + there, -1)
-    turned = torch.where(axis[:, 0] == 0, 2 - chosen, chosen)
-    mirrored_classes = torch.from_numpy(mirrored(classes[0].numpy()))[None]
-    direct = order_loss(logits, classes, bags, chosen, weight, 4.0)
-    assert float(direct) == pytest.approx(
-        float(order_loss(flipped, mirrored_classes, moved, turned, weight, 4.0)), rel=1e-6
-    )
-    unturned = float(order_loss(flipped, mirrored_classes, moved, chosen, weight, 4.0))
-    assert float(direct) != pytest.approx(unturned, rel=1e-3)
