@@ -210,50 +210,33 @@ def test_transforms_as_other_tools_write_them(text: str, reading: dict[str, str]
     np.testing.assert_allclose(read_text(text, **reading).extrinsic(), pose, atol=1e-9)
 
 
+LIVO_LENS = (1293.56944, 1293.3155, 626.91359, 522.799224, -0.076160, 0.123001, -0.00113, 0.000251)
+ANYTHING_LENS = (1200, 1201, 960.5, 540.25, -0.1, 0.02, 0.001, -0.002)
+RADTAN = CAMCHAIN, {"name": "cam0"}
+EQUIDISTANT = CAMCHAIN.replace("equidistant", "KannalaBrandt4"), {"name": "cam1"}
+
+
 @pytest.mark.parametrize(
-    ("text", "reading", "camera"),
+    ("text", "reading", "model", "width", "height", "params"),
     [
-        (
-            CAMCHAIN,
-            {"name": "cam0"},
-            Camera("OPENCV", 752, 480, (458.6, 457.3, 367.2, 248.4, -0.28, 0.07, 0.0002, 0.00002)),
-        ),
-        (
-            CAMCHAIN.replace("equidistant", "KannalaBrandt4"),
-            {"name": "cam1"},
-            Camera("OPENCV_FISHEYE", 752, 480, (457.6, 456.1, 379.9, 255.2, 0.01, 0.02, 0.03, 0.04)),
-        ),
+        (*RADTAN, "OPENCV", 752, 480, (458.6, 457.3, 367.2, 248.4, -0.28, 0.07, 0.0002, 0.00002)),
+        (*EQUIDISTANT, "OPENCV_FISHEYE", 752, 480, (457.6, 456.1, 379.9, 255.2, 0.01, 0.02, 0.03, 0.04)),
         # The camera of the raw image, not of the rectified one.
-        (CAMERA_INFO, {}, Camera("OPENCV", 1280, 720, (700, 705, 640, 360, -0.28, 0.08, 0.001, -0.002))),
-        (ECHO, {}, Camera("OPENCV_FISHEYE", 1280, 720, (700, 705, 640, 360, 0.1, 0.01, 0, 0))),
-        (KITTI_RAW, {}, Camera.pinhole(700, 700, 600, 180, 1242, 375)),
-        (KITTI_RAW, {"name": "02-raw"}, Camera("FULL_OPENCV", 1392, 512, (900, 900, 700, 250, *KITTI_DISTORTION))),
-        (AUTOWARE_AI, {}, Camera("OPENCV", 640, 480, (700, 700, 320, 240, -0.1, 0.01, 0, 0))),
-        (
-            LIVO_RESULT,
-            {},
-            Camera(
-                "OPENCV",
-                1280,
-                1024,
-                (1293.56944, 1293.3155, 626.91359, 522.799224, -0.076160, 0.123001, -0.00113, 0.000251),
-            ),
-        ),
-        (LIVO_FISHEYE, {}, Camera("OPENCV_FISHEYE", 720, 540, LIVO_FISHEYE_LENS)),
-        (
-            LIVO_FISHEYE_WITHOUT_SIZE,
-            {"width": 720, "height": 540},
-            Camera("OPENCV_FISHEYE", 720, 540, LIVO_FISHEYE_LENS),
-        ),
-        (
-            CALIB_ANYTHING,
-            {"width": 1920, "height": 1080},
-            Camera("OPENCV", 1920, 1080, (1200, 1201, 960.5, 540.25, -0.1, 0.02, 0.001, -0.002)),
-        ),
+        (CAMERA_INFO, {}, "OPENCV", 1280, 720, (700, 705, 640, 360, -0.28, 0.08, 0.001, -0.002)),
+        (ECHO, {}, "OPENCV_FISHEYE", 1280, 720, (700, 705, 640, 360, 0.1, 0.01, 0, 0)),
+        (KITTI_RAW, {}, "PINHOLE", 1242, 375, (700, 700, 600, 180)),
+        (KITTI_RAW, {"name": "02-raw"}, "FULL_OPENCV", 1392, 512, (900, 900, 700, 250, *KITTI_DISTORTION)),
+        (AUTOWARE_AI, {}, "OPENCV", 640, 480, (700, 700, 320, 240, -0.1, 0.01, 0, 0)),
+        (LIVO_RESULT, {}, "OPENCV", 1280, 1024, LIVO_LENS),
+        (LIVO_FISHEYE, {}, "OPENCV_FISHEYE", 720, 540, LIVO_FISHEYE_LENS),
+        (LIVO_FISHEYE_WITHOUT_SIZE, {"width": 720, "height": 540}, "OPENCV_FISHEYE", 720, 540, LIVO_FISHEYE_LENS),
+        (CALIB_ANYTHING, {"width": 1920, "height": 1080}, "OPENCV", 1920, 1080, ANYTHING_LENS),
     ],
 )
-def test_cameras_as_other_tools_write_them(text: str, reading: dict[str, Any], camera: Camera) -> None:
-    assert read_text(text, **reading).camera == camera
+def test_cameras_as_other_tools_write_them(
+    text: str, reading: dict[str, Any], model: str, width: int, height: int, params: tuple[float, ...]
+) -> None:
+    assert read_text(text, **reading).camera == Camera(model, width, height, params)
 
 
 @pytest.mark.parametrize("text", [CALIB_ANYTHING, LIVO_FISHEYE_WITHOUT_SIZE + LIVO_CONFIG])

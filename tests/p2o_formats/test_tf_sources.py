@@ -244,6 +244,7 @@ def test_output_of_tf2_echo_is_as_exact_as_its_angles_in_degrees() -> None:
 
 TWO_LIDARS = (*ROVER, ("base_link", "rear_livox_frame", "-1 0 1", "0 0 3"))
 TWO_CAMERAS = (*ROVER, ("base_link", "rear_camera_link", "-1 0 1", "0 0 3"))
+LEFT_RIGHT = ("velodyne", "left_cam_link", "0 1 0", "0 0 0"), ("left_cam_link", "right_optical", "0 1 0", "0 0 0")
 REALSENSE = (
     ROVER[0],
     ROVER[1],
@@ -268,14 +269,7 @@ OUSTER = (
         (TWO_LIDARS, r"2 frame names denote the LiDAR; expected one of rear_livox_frame, velodyne.*lidar_frame=NAME"),
         (TWO_CAMERAS, r"2 frame names denote the camera; expected one of camera_optical_frame, rear_camera_link"),
         (REALSENSE, r"2 frame names denote the camera.*camera_color_optical_frame, camera_depth_optical_frame"),
-        (
-            (("left_lidar_link", "right_lidar_link", "0 1 0", "0 0 0"), ("left_lidar_link", "cam0", "0 0 0", "0 0 0")),
-            "2 frame names denote the LiDAR; expected one of left_lidar_link, right_lidar_link",
-        ),
-        (
-            (("velodyne", "left_cam_link", "0 1 0", "0 0 0"), ("left_cam_link", "right_optical", "0 1 0", "0 0 0")),
-            "2 frame names denote the camera; expected one of left_cam_link, right_optical",
-        ),
+        (LEFT_RIGHT, "2 frame names denote the camera; expected one of left_cam_link, right_optical"),
         (OUSTER, r"2 frame names denote the LiDAR; expected one of os_lidar, os_sensor"),
         ((("map", "velodyne", "0 0 0", "0 0 0"), ("odom", "camera_link", "0 0 0", "0 0 0")), "no transforms connect"),
         ((*ROVER, ("map", "velodyne", "0 0 0", "0 0 0")), r"frame velodyne has several parents.*base_link, map"),
