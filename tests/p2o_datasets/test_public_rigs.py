@@ -37,7 +37,7 @@ class Rig:
     slip: Callable[[Any], None]
     frames: int
     title: str
-    nothing: str
+    several: str
     wrong: dict[str, tuple[str, str]]
     absent: str
     needed: dict[str, str]
@@ -67,94 +67,45 @@ def shifted(values: Any, at: Any, by: float = 1.0) -> None:
 ARROW = "is not a table of Arrow, or is damaged"
 RIGS = {
     "argoverse2": Rig(
-        argoverse2_files.Log,
-        ("ring_front_center", "ring_rear_left"),
-        lambda log: shifted(log.mountings["tx_m"], 0),
-        6,
-        "Argoverse 2",
-        "there are no logs of Argoverse 2",
-        {"cameras": ("ring_front_centre", "ring_front_center"), "logs": ("0267", "")},
-        "stereo_front_left",
-        dict.fromkeys(("city_SE3_*", "calibration/intrinsics.feather"), ARROW),
+        argoverse2_files.Log, ("ring_front_center", "ring_rear_left"), lambda log: shifted(log.mountings["tx_m"], 0), 6,
+        "Argoverse 2", "logs", {"cameras": ("ring_front_centre", "ring_front_center"), "logs": ("0267", "")},
+        "stereo_front_left", dict.fromkeys(("city_SE3_*", "calibration/intrinsics.feather"), ARROW),
     ),
     "kitti-360": Rig(
-        kitti_360_files.Drive,
-        ("image_02", "image_00"),
-        lambda drive: shifted_fisheye(drive.texts),
-        6,
-        "KITTI-360",
-        "there are no drives of KITTI-360",
-        {
-            "cameras": ("image_04", "image_0"),
-            "sequences": ("2013_05_28_drive_0002_sync", kitti_360_files.DRIVE),
-        },
-        "",
-        {"calib_cam_to_velo.txt": "the file is truncated|Tr does not contain 12 finite numbers"},
-        "0000000004.bin",
+        kitti_360_files.Drive, ("image_02", "image_00"), lambda drive: shifted_fisheye(drive.texts), 6,
+        "KITTI-360", "drives",
+        {"cameras": ("image_04", "image_0"), "sequences": ("2013_05_28_drive_0002_sync", kitti_360_files.DRIVE)},
+        "", {"calib_cam_to_velo.txt": "the file is truncated|Tr does not contain 12 finite numbers"}, "0000000004.bin",
     ),
     "nuscenes": Rig(
-        nuscenes_files.Tree,
-        ("CAM_FRONT", "CAM_BACK"),
-        lambda tree: shifted(tree.tables["calibrated_sensor"][0]["translation"], 0),
-        8,
-        "nuScenes",
-        "there are no tables of nuScenes",
-        {
-            "cameras": ("CAM_FRNT", "CAM_FRONT"),
-            "scenes": ("scene-0062", "scene-0061"),
-            "version": ("v1.0-min", r"v1\.0-mini"),
-        },
-        "CAM_FRONT_LEFT",
-        {"scene.json": "not a list of records|is not JSON"},
-        "samples/CAM_FRONT/*",
+        nuscenes_files.Tree, ("CAM_FRONT", "CAM_BACK"),
+        lambda tree: shifted(tree.tables["calibrated_sensor"][0]["translation"], 0), 8, "nuScenes", "tables",
+        {"cameras": ("CAM_FRNT", "CAM_FRONT"), "scenes": ("scene-0062", "scene-0061"),
+         "version": ("v1.0-min", r"v1\.0-mini")},
+        "CAM_FRONT_LEFT", {"scene.json": "not a list of records|is not JSON"}, "samples/CAM_FRONT/*",
     ),
     "once": Rig(
-        once_files.Sequence,
-        ("cam01", "cam09"),
-        lambda sequence: shifted(sequence.content["calib"]["cam01"]["cam_to_velo"][0], 3),
-        6,
-        "ONCE",
-        "there are no sequences of ONCE",
+        once_files.Sequence, ("cam01", "cam09"),
+        lambda sequence: shifted(sequence.content["calib"]["cam01"]["cam_to_velo"][0], 3), 6, "ONCE", "sequences",
         {"cameras": ("cam02", "cam0"), "sequences": ("000028", "000027")},
-        "cam03",
-        {"000027.json": "is not JSON"},
-        "lidar_roof/*",
+        "cam03", {"000027.json": "is not JSON"}, "lidar_roof/*",
     ),
     "pandaset": Rig(
-        pandaset_files.Drive,
-        ("front_camera", "left_camera"),
-        slipped_poses,
-        8,
-        "PandaSet",
-        "there are no sequences of PandaSet",
-        {"cameras": ("front", "front_camera"), "sequences": ("002", "001")},
-        "back_camera",
+        pandaset_files.Drive, ("front_camera", "left_camera"), slipped_poses, 8, "PandaSet", "sequences",
+        {"cameras": ("front", "front_camera"), "sequences": ("002", "001")}, "back_camera",
         dict.fromkeys(("lidar/poses.json", "front_camera/timestamps.json", "front_camera/intrinsics.json"), "not JSON"),
         "lidar/01.pkl.gz",
     ),
     "waymo": Rig(
-        waymo_files.Segment,
-        ("FRONT", "SIDE_LEFT"),
-        lambda segment: shifted(
-            segment.components["camera_calibration"][0]["[CameraCalibrationComponent].extrinsic.transform"], 3
-        ),
-        6,
-        "Waymo",
-        "there are no segments of Waymo",
+        waymo_files.Segment, ("FRONT", "SIDE_LEFT"),
+        lambda segment: shifted(segment.components["camera_calibration"][0][waymo_files.EXTRINSIC], 3), 6,
+        "Waymo", "segments",
         {"cameras": ("FRONT_LFT", "FRONT_LEFT"), "segments": (waymo_files.SEGMENT[:-1], waymo_files.SEGMENT)},
-        "FRONT_LEFT",
-        {"lidar_pose/*.parquet": ARROW},
+        "FRONT_LEFT", {"lidar_pose/*.parquet": ARROW},
     ),
-}
-RIGS["waymo-v1"] = Rig(
-    **{
-        **vars(RIGS["waymo"]),
-        "absent": "",
-        "needed": {},
-        "data_set": "waymo",
-        "write": lambda one: write_records(one).parent,
-    }
-)
+}  # fmt: skip
+AS_RECORDS = {"absent": "", "needed": {}, "data_set": "waymo", "write": lambda one: write_records(one).parent}
+RIGS["waymo-v1"] = Rig(**{**vars(RIGS["waymo"]), **AS_RECORDS})
 ON_PAGE = ("argoverse2", "kitti-360", "once", "pandaset", "waymo")
 every_rig = pytest.mark.parametrize("name", RIGS)
 
@@ -285,7 +236,10 @@ def test_folders_that_are_none_are_one_line_and_status_2(
 ) -> None:
     (tmp_path / "empty").mkdir()
     rig = RIGS[name]
-    for folder, words in (("gone", f"no such folder; expected the folder of {rig.title}"), ("empty", rig.nothing)):
+    for folder, words in (
+        ("gone", f"no such folder; expected the folder of {rig.title}"),
+        ("empty", f"there are no {rig.several} of {rig.title}"),
+    ):
         assert main(["data", "check", f"{rig.data_set or name}:{tmp_path / folder}"]) == 2
         said = capsys.readouterr().err.strip()
         assert words in said

@@ -31,6 +31,9 @@ INCLINATIONS = np.linspace(-0.3, 0.05, ROWS) ** 3 * 2 + np.linspace(-0.25, 0.04,
 SHUTTER_S, READOUT_S = 0.002, 0.042
 
 
+EXTRINSIC = "[CameraCalibrationComponent].extrinsic.transform"
+
+
 def seconds(time_us: float) -> float:
     return (time_us - START_US) * 1e-6
 
