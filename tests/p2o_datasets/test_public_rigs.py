@@ -28,8 +28,8 @@ PAGE = Path(__file__).parents[2] / "docs/datasets.md"
 class Rig:
     """Files of a data set: two cameras in them, a shift of the first camera, and wrong options with their nearest.
 
-    `several` is the word for its parts, `absent` a camera without images, `one` a file that one frame needs. `needed` are files that all frames need,
-    with the error of one that is cut off.
+    `several` is the word for its parts, `absent` a camera without images, `one` a file that one frame needs. `needed`
+    are files that all frames need, with the error of one that is cut off.
     """
 
     files: Callable[[Path], Any]

@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 from p2o import SIDES, Camera, Image, InputError, Side
 from p2o_plugins.image import stereo
-from p2o_plugins.image.disparity import PairView, ground
-from p2o_plugins.image.silhouette import Silhouettes
-from p2o_plugins.image.stereo import METHOD, StereoOptions, height_m
+from p2o_plugins.image.stereo import METHOD, StereoOptions
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 HEIGHT, WIDTH = 150, 260
@@ -170,20 +168,6 @@ def test_a_single_picture_is_refused_with_a_hint():
     single = Image(np.zeros((30, 40, 3), np.uint8), Camera.pinhole(50, 50, 20, 15, 40, 30))
     with pytest.raises(InputError, match=r"no right image.*--extractor canny/rings"):
         edges_of(single)
-
-
-def test_the_ground_plane_is_found_among_objects_and_gives_heights():
-    """Camera 1.6 m above a road: disparity 0.5 / 1.6 px a row below row 40; a wall stands on a third of it."""
-    slope = 0.5 / 1.6
-    v, u = np.mgrid[:HEIGHT, :WIDTH].astype(float)
-    disparity = np.maximum(slope * (v - 40), 0)
-    disparity[:, u[0] > 180] = 35.0
-    nothing = np.zeros((HEIGHT, WIDTH, 4), np.float32)
-    plane = ground(PairView(nothing, nothing, disparity.astype(np.float32), np.ones((HEIGHT, WIDTH), bool)))
-    assert np.allclose(plane, (-40 * slope, 0, slope), atol=1e-3)
-    # At row 72 the road has disparity 10: a point of disparity 10 lies on it, one of 20 half way up to the camera.
-    points = Silhouettes(np.array([[100.0, 72.0], [100.0, 72.0]]), np.array([10.0, 20.0]), np.zeros((2, 13)))
-    assert np.allclose(height_m(points, plane, 0.5), [0.0, 0.8], atol=0.01)
 
 
 @pytest.mark.real

@@ -24,33 +24,6 @@ def found(pairs: dict[tuple[Side, int, int], float], size: tuple[int, int] = (9,
     return peaks(side_probabilities(belief(*size, pairs)), low)
 
 
-def table(points: Peaks) -> np.ndarray:
-    """Return all that is known of the points (N, 6), in an order of their own."""
-    rows = np.column_stack([points.side, points.uv, points.pixel, points.score])
-    return rows[np.lexsort(np.round(rows, 6).T)]
-
-
-@pytest.mark.parametrize(
-    ("side", "uv", "pixel"),
-    [
-        (Side.LEFT, (5.5, 4), (6, 4)),
-        (Side.RIGHT, (5.5, 4), (5, 4)),
-        (Side.UPPER, (5, 4.5), (5, 5)),
-        (Side.BOTTOM, (5, 4.5), (5, 4)),
-    ],
-)
-def test_a_certain_pair_is_one_edge_between_its_pixels(
-    side: Side, uv: tuple[float, ...], pixel: tuple[int, ...]
-) -> None:
-    edge = found({(side, 4, 5): 1.0})
-    assert edge.side.tolist() == [side]
-    np.testing.assert_allclose(edge.uv, [uv])
-    np.testing.assert_array_equal(edge.pixel, [pixel])
-    assert edge.score == pytest.approx([1.0])
-    # The background lies from the foreground pixel through the edge.
-    np.testing.assert_allclose((edge.uv - edge.pixel)[0], 0.5 * np.array(side.background))
-
-
 @pytest.mark.parametrize("side", SIDES)
 def test_belief_spread_over_two_pairs_is_one_edge_at_their_mean_with_their_sum(side: Side) -> None:
     along = side in (Side.LEFT, Side.RIGHT)
@@ -88,37 +61,6 @@ def test_pairs_at_the_border_are_edges_and_pairs_that_leave_the_image_are_not() 
         assert edge.uv.max() == max(inner) + 0.5
         first = found({(side, *((3, 0) if side in (Side.LEFT, Side.RIGHT) else (0, 3))): 1.0}, size=(height, width))
         assert first.uv.min() == 0.5
-
-
-def _random_maps(seed: int) -> np.ndarray:
-    """Return maps (4, 20, 25) full of sharp and of blurred maxima, in the interior and at the border."""
-    maps = np.random.default_rng(seed).random((4, 20, 25)) ** 6
-    maps[:2, :, -1] = 0
-    maps[2:, -1] = 0
-    return maps
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_the_mirrored_belief_gives_the_mirrored_edges(seed: int) -> None:
-    maps = _random_maps(seed)
-    flipped = np.zeros_like(maps)
-    for side in (Side.LEFT, Side.RIGHT):
-        flipped[side.mirrored, :, :-1] = maps[side, :, -2::-1]
-    flipped[2:] = maps[2:, :, ::-1]
-    direct, mirrored = peaks(maps, 0.3), peaks(flipped, 0.3)
-    assert len(direct.uv) > 50
-    side = np.array([Side(int(s)).mirrored for s in mirrored.side])
-    last = np.array([24, 0])
-    sign = np.array([-1, 1])
-    back = Peaks(last + sign * mirrored.uv, side, mirrored.score, last + sign * mirrored.pixel)
-    np.testing.assert_allclose(table(back), table(direct), atol=1e-9)
-
-
-def test_the_edge_lies_within_reach_of_its_foreground_pixel() -> None:
-    edge = peaks(_random_maps(11), 0.1)
-    toward = np.array([Side(int(s)).background for s in edge.side])
-    assert (np.abs(((edge.uv - edge.pixel) * toward).sum(axis=1) - 0.5) <= 2).all()
-    assert (((edge.uv - edge.pixel) * (1 - np.abs(toward))) == 0).all()
 
 
 # ---- what is kept of them

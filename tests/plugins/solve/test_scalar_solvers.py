@@ -12,7 +12,6 @@ from p2o import se3
 from p2o.problems.problem import pose_from_chart
 from p2o.solving import Objective
 from p2o_plugins.solve import barzilai_borwein, bfgs, cma_es, particle_swarm, random_shrink
-from p2o_plugins.solve.scalar_cost import ScalarCost
 
 from tests.edge_scene import TRUTH
 from tests.plugins.solve import exact_pairs
@@ -136,15 +135,3 @@ def test_coarse_differences_lead_over_ripples_that_stop_the_gradient(monkeypatch
     by_gradient = solve(Objective(cost), START).camera_from_lidar
     assert max(apart(by_gradient, TRUTH)) > 3 * max(apart(by_schedule, TRUTH))
     assert max(apart(by_schedule, TRUTH)) < 0.1
-
-
-def test_numeric_gradients_agree_with_given_ones_in_the_chart() -> None:
-    def gradient(pose: np.ndarray) -> np.ndarray:
-        steps = se3.exp(1e-6 * np.concatenate([np.eye(6), -np.eye(6)])) @ pose
-        ahead, behind = Bowl().cost(steps).reshape(2, 6)
-        return (ahead - behind) / 2e-6
-
-    problems = Bowl(), Objective(Bowl().cost, gradient)
-    x = np.array([0.3, -0.2, 0.5, 0.1, -0.4, 0.2])
-    numeric, given = (ScalarCost(p, START, 2.0, 0.3).gradient(x) for p in problems)
-    assert numeric == pytest.approx(given, rel=1e-4)
