@@ -8,46 +8,14 @@ from collections.abc import Callable, Sequence
 from random import Random
 from typing import Any
 
+_LINES = r"""0 -0 -1 1 2 1e5 1e308 1e309 -1e309 1e-320 nan NaN inf -inf
+0x10 1_000 ٣ ² true null ~ None [] {} [[[[]]]]
+日本 %00 %s%n {0} {x!r} ../../escaped /etc/passwd ~nosuch/x C:\x con <script> \input{x} =1+1 2011-09-26 12:30 *a"""
+_PLAIN = [line.split() for line in _LINES.splitlines()]
 WORDS = (
-    *("", " ", "0", "-0", "-1", "1", "2", "1e5", "1e308", "1e309", "-1e309", "1e-320", "nan", "NaN", "inf", "-inf"),
-    *("9" * 19, "9" * 400, "9" * 5000, "0x10", "1_000", "٣", "²", "true", "null", "~", "None", "[]", "{}", "[[[[]]]]"),
-    *(
-        "a" * 70_000,
-        "\x1b[31mred\x1b[0m",
-        "\r",
-        "a\x00b",
-        "\u202egnp.exe",
-        "\ud800",
-        "日本",
-        "%00",
-        "%s%n",
-        "{0}",
-        "{x!r}",
-    ),
-    *(
-        "../../escaped",
-        "/etc/passwd",
-        "~nosuch/x",
-        "C:\\x",
-        "con",
-        "<script>",
-        "\\input{x}",
-        "=1+1",
-        "2011-09-26",
-        "12:30",
-    ),
-    *(
-        "*a",
-        "&a b",
-        "!!python/name:os.system",
-        "<<",
-        "1deg 1m",
-        "1e9m",
-        "uniform 3deg",
-        "0-999999999999",
-        "::0",
-        "@x.json#y",
-    ),
+    *("", " ", *_PLAIN[0], "9" * 19, "9" * 400, "9" * 5000, *_PLAIN[1], "a" * 70_000, "\x1b[31mred\x1b[0m", "\r"),
+    *("a\x00b", "\u202egnp.exe", "\ud800", *_PLAIN[2], "&a b", "!!python/name:os.system", "<<", "1deg 1m", "1e9m"),
+    *("uniform 3deg", "0-999999999999", "::0", "@x.json#y"),
 )
 NUMBERS = (0, -0.0, 1, -1, 2, 0.5, 255, 256, 65535, 2**31, 2**32, 2**63, -(2**63), 2**64, 10**30, 1e-320, 1e-12, 1e6)
 ODD_NUMBERS = (*NUMBERS, 1e30, 1e300, float("inf"), float("-inf"), float("nan"))

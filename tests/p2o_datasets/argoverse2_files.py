@@ -54,8 +54,7 @@ class Log:
         self.mountings = {"sensor_name": list(EGO_FROM), **columns(list(EGO_FROM.values()))}
         self.intrinsics: dict[str, Any] = {
             "sensor_name": list(SIZE),
-            "fx_px": [FOCAL, FOCAL],
-            "fy_px": [FOCAL, FOCAL],
+            **{name: [FOCAL, FOCAL] for name in ("fx_px", "fy_px")},
             "cx_px": [15.2, 20.3],
             "cy_px": [20.1, 15.4],
             "k1": [-0.3, -0.3],

@@ -56,13 +56,9 @@ class Tree:
             modality = "lidar" if channel == "LIDAR_TOP" else "camera"
             self.tables["sensor"].append({"token": f"sensor-{channel}", "channel": channel, "modality": modality})
             self.tables["calibrated_sensor"].append(
-                {
-                    "token": f"calibrated-{channel}",
-                    "sensor_token": f"sensor-{channel}",
-                    "translation": pose[:3, 3].tolist(),
-                    "rotation": quaternion(pose),
-                    "camera_intrinsic": [] if modality == "lidar" else K,
-                }
+                {"token": f"calibrated-{channel}", "sensor_token": f"sensor-{channel}"}
+                | {"translation": pose[:3, 3].tolist(), "rotation": quaternion(pose)}
+                | {"camera_intrinsic": [] if modality == "lidar" else K}
             )
         for scene, first_us in (("s1", START_US), ("s2", START_US + 60_000_000)):
             for number in range(2):
@@ -81,28 +77,14 @@ class Tree:
         token = f"{channel}-{time_us}"
         pose = world_from_ego(time_us)
         self.tables["ego_pose"].append(
-            {
-                "token": f"pose-{token}",
-                "timestamp": time_us,
-                "rotation": quaternion(pose),
-                "translation": pose[:3, 3].tolist(),
-            }
+            {"token": f"pose-{token}", "timestamp": time_us}
+            | {"rotation": quaternion(pose), "translation": pose[:3, 3].tolist()}
         )
         self.tables["sample_data"].append(
-            {
-                "token": token,
-                "sample_token": sample,
-                "ego_pose_token": f"pose-{token}",
-                "calibrated_sensor_token": f"calibrated-{channel}",
-                "timestamp": time_us,
-                "fileformat": "pcd" if lidar else "jpg",
-                "is_key_frame": key,
-                "height": 0 if lidar else 24,
-                "width": 0 if lidar else 32,
-                "filename": file,
-                "prev": "",
-                "next": "",
-            }
+            {"token": token, "sample_token": sample, "ego_pose_token": f"pose-{token}", "timestamp": time_us}
+            | {"calibrated_sensor_token": f"calibrated-{channel}", "is_key_frame": key, "prev": "", "next": ""}
+            | {"fileformat": "pcd" if lidar else "jpg", "filename": file}
+            | {"height": 0 if lidar else 24, "width": 0 if lidar else 32}
         )
         path = self.root / file
         path.parent.mkdir(parents=True, exist_ok=True)

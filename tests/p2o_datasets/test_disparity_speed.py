@@ -39,13 +39,11 @@ def speed(frame: Frame) -> float | None:
 
 
 @pytest.mark.parametrize("truth", [0.0, 6.0, 18.0])
-def test_the_speed_of_the_car_is_found(truth: float) -> None:
+def test_the_speed_of_the_car_is_found_in_raw_and_in_corrected_sweeps(truth: float) -> None:
     frame = street(truth)
     assert speed(frame) == pytest.approx(frame.twist[3], abs=0.5)
-
-
-def test_a_sweep_that_was_corrected_tells_the_same_speed() -> None:
-    assert speed(street(18.0, deskew=True)) == pytest.approx(speed(street(18.0)), abs=1e-2)
+    if truth == 18.0:
+        assert speed(street(truth, deskew=True)) == pytest.approx(speed(frame), abs=1e-2)
 
 
 def test_dense_depth_too_little_depth_and_a_sweep_without_times_tell_nothing() -> None:

@@ -55,12 +55,6 @@ def test_the_built_in_frame_is_that_of_the_simulator() -> None:
     assert np.mean(difference <= 16) > 0.99
 
 
-def test_the_files_are_small() -> None:
-    files = list(example.FOLDER.iterdir())
-    assert {file.name for file in files} == {"image.jpg", "cloud.npz", "frame.yaml"}
-    assert sum(file.stat().st_size for file in files) <= 1_500_000
-
-
 def test_a_run_without_data_calibrates_it_and_imports_what_it_uses(tmp_path: Path) -> None:
     code = "import sys; from p2o.cli import main; print(main(['run', '--out', 'out'])); print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path)

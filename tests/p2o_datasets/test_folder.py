@@ -70,6 +70,8 @@ def test_a_folder_of_folders_is_a_dataset_of_frames(tmp_path: Path) -> None:
     for name in ("b", "a"):
         write_frame(tmp_path / name)
     (tmp_path / "notes").mkdir()
+    with refused(r"no frames; expected frame\.yaml in it or in its sub-folders"):
+        dataset(tmp_path / "notes")
     found = dataset(tmp_path)
     assert found.names == ("a", "b")
     assert found[1].name == "b"
@@ -98,31 +100,6 @@ def test_poses_come_as_matrix_or_as_quaternion_and_translation_in_both_direction
     assert [warning in text for text in found.warnings] == [True] * (2 if warning else 0)
 
 
-@pytest.mark.parametrize(
-    ("camera", "model", "params"),
-    [
-        ({**CAMERA, "model": "OPENCV_FISHEYE", "params": [50, 50, 31, 15, 0.01, 0, 0, 0]}, "OPENCV_FISHEYE", None),
-        (
-            {"width": WIDTH, "height": HEIGHT, "K": [50.0, 0, 31.0, 0, 50.0, 15.5, 0, 0, 1],
-             "distortion_model": "plumb_bob", "D": [-0.01, 0.0, 0.0, 0.0, 0.0]},
-            "OPENCV",
-            (50, 50, 31, 15.5, -0.01, 0, 0, 0),
-        ),
-    ],
-)  # fmt: skip
-def test_cameras_of_colmap_and_of_ros_are_taken(tmp_path: Path, camera: Any, model: str, params: Any) -> None:
-    found = frame(tmp_path, camera=camera).camera
-    assert (found.model, found.params) == (model, params or tuple(camera["params"]))
-
-
-def test_files_may_be_named_and_have_any_kind(tmp_path: Path) -> None:
-    write_frame(tmp_path, {}, image="pictures/left.jpg")
-    write_image(tmp_path / "pictures/left.jpg", seed=8)
-    found = dataset(tmp_path)[0]
-    assert len(found.cloud) == 3
-    assert np.array_equal(found.image.rgb, cv2.imread(str(tmp_path / "pictures/left.jpg"))[:, :, ::-1])
-
-
 def test_a_frame_may_say_what_the_rows_of_its_sweep_hold(tmp_path: Path) -> None:
     write_frame(tmp_path, cloud_columns=["x", "y", "z", "_", "ring"])
     rows = np.column_stack([sweep(), np.arange(len(sweep())) % 64]).astype(np.float32)
@@ -133,13 +110,15 @@ def test_a_frame_may_say_what_the_rows_of_its_sweep_hold(tmp_path: Path) -> None
     assert cloud.intensity is None
 
 
-def test_the_only_picture_is_taken_and_of_several_none(tmp_path: Path) -> None:
-    write_frame(tmp_path)
-    (tmp_path / "image.png").rename(tmp_path / "IMG_1.png")
-    assert len(dataset(tmp_path)[0].image.rgb) == HEIGHT
-    write_image(tmp_path / "IMG_2.png")
+def test_the_only_or_the_named_picture_is_taken_and_of_several_none(tmp_path: Path) -> None:
+    folder = write_frame(tmp_path / "a")
+    (folder / "image.png").rename(folder / "IMG_1.png")
+    assert len(dataset(folder)[0].image.rgb) == HEIGHT
+    write_image(folder / "IMG_2.png")
     with refused(r"the image is ambiguous; .*got IMG_1\.png, IMG_2\.png; name it in"):
-        dataset(tmp_path)[0]
+        dataset(folder)[0]
+    pixels = write_image(write_frame(tmp_path / "b", {}, image="pictures/left.bmp") / "pictures/left.bmp", seed=8)
+    assert np.array_equal(dataset(tmp_path / "b")[0].image.rgb, pixels)
 
 
 def test_right_picture_and_depth_come_along(tmp_path: Path) -> None:
@@ -158,19 +137,6 @@ def test_right_picture_and_depth_come_along(tmp_path: Path) -> None:
     assert (dataset(tmp_path)[0].image.depth_m == 12.25).all()
 
 
-@pytest.mark.parametrize(
-    ("size", "message"),
-    [
-        ((WIDTH, HEIGHT + 3), r"image\.png: the image size does not fit the camera"),
-        ((WIDTH // 2, HEIGHT // 2), r"if the image was resized, scale fx, fy, cx, cy by 0\.5, and write the new"),
-    ],
-)
-def test_an_image_of_another_size_is_refused_by_name(tmp_path: Path, size: tuple[int, int], message: str) -> None:
-    write_image(write_frame(tmp_path) / "image.png", size=size)
-    with refused(message):
-        dataset(tmp_path)[0]
-
-
 def test_an_array_called_cloud_is_the_sweep_and_others_are_not(tmp_path: Path) -> None:
     write_frame(tmp_path, depth="depth.npy")
     (tmp_path / "cloud.bin").unlink()
@@ -179,34 +145,6 @@ def test_an_array_called_cloud_is_the_sweep_and_others_are_not(tmp_path: Path) -
         dataset(tmp_path)[0]
     np.save(tmp_path / "cloud.npy", sweep())
     assert np.array_equal(dataset(tmp_path)[0].cloud.xyz, sweep()[:, :3])
-
-
-@pytest.mark.parametrize(
-    ("depth", "message"),
-    [
-        (np.ones((3, 3)), "the depth size does not fit"),
-        (np.array([{}], object), r"this is not an \.npy file of numbers"),
-    ],
-)
-def test_a_depth_map_that_is_none_is_refused_by_name(tmp_path: Path, depth: Any, message: str) -> None:
-    np.save(tmp_path / "depth.npy", depth)
-    with refused(rf"depth\.npy: {message}"):
-        frame(tmp_path, depth="depth.npy")
-
-
-@pytest.mark.parametrize(
-    "content",
-    [
-        {"image": "../outside.png"},
-        {"image": "/etc/hostname"},
-        {"image": "a/../../outside.png"},
-        {"camera": "../camchain.yaml#cam0"},
-    ],
-)
-def test_paths_that_leave_the_folder_are_refused(tmp_path: Path, content: dict[str, str]) -> None:
-    write_image(tmp_path / "outside.png")
-    with refused(r"frame\.yaml: the path '.*' leaves the folder of the data set"):
-        frame(tmp_path / "data", **content)
 
 
 @pytest.mark.parametrize("name", ["cloud.bin", "frame.yaml"])
@@ -255,6 +193,13 @@ WORDS = "roughly x forward, z up; camera looks forward; camera 0.27 m forward, 8
     ("content", "message"),
     [
         ({"start": np.diag([1.0, 1, -1, 1]).tolist()}, "start mirrors space"),
+        *(
+            ({key: path}, f"the path '{path.partition('#')[0]}' leaves the folder of the data set")
+            for key, path in (
+                *(("image", path) for path in ("../outside.png", "/etc/hostname", "a/../../outside.png")),
+                ("camera", "../camchain.yaml#cam0"),
+            )
+        ),
         ({"start": STRETCHED}, "start is not orthonormal"),
         ({"start": {"rotation_xyzw": [0, 0, 0, 2], "translation_m": [0, 0, 0]}}, "of start is not a rotation"),
         ({"start": [[1, 0], [0, 1]]}, "start"),
@@ -277,25 +222,22 @@ def test_a_wrong_value_is_refused_by_its_key(tmp_path: Path, content: dict[str, 
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(
-    "wrong",
-    [
-        {"twist": [0, 0, 0, 1e300, 0, 0]},
-        {"twist": [0, 0, 0, float("nan"), 0, 0]},
-        {"twist": [1e9, 0, 0, 0, 0, 0]},
-        {"image_time_s": 1e300},
-        {"baseline_m": 1e300, "right": "image.png"},
-        {"targets": [{**BOARD, "columns": 10**400}]},
-        {"targets": [{**BOARD, "width_m": 1e300}]},
-    ],
-)
-def test_numbers_that_nothing_has_are_refused(tmp_path: Path, wrong: dict[str, Any]) -> None:
-    with refused(r"frame\.yaml: .*(out of bounds|not valid|too large a number)"):
-        frame(tmp_path, times(0.0, 0.05, 0.1), **wrong)
-
-
-@pytest.mark.parametrize(
     ("scan", "content", "message"),
     [
+        *(
+            (times(0.0, 0.05, 0.1), wrong, r"frame\.yaml: .*(out of bounds|not valid|too large a number)")
+            for wrong in (
+                *(
+                    {"twist": twist}
+                    for twist in ([0, 0, 0, 1e300, 0, 0], [0, 0, 0, np.nan, 0, 0], [1e9, 0, 0, 0, 0, 0])
+                ),
+                {"image_time_s": 1e300},
+                {"baseline_m": 1e300, "right": "image.png"},
+                {"targets": [{**BOARD, "columns": 10**400}]},
+                {"targets": [{**BOARD, "width_m": 1e300}]},
+            )
+        ),
+        *((None, {"camera_name": name}, "the name of a camera") for name in ("front left", "a,b", "a\tb", "x" * 101)),
         (None, {"cloud_columns": ["x", "y", "z", "rung"]}, r"cloud\.bin: wrong cloud_columns; .*got x y z rung"),
         (None, {"twist": [0, 0, 0, 10, 0, 0]}, r"cloud\.bin: a sweep without times cannot be compensated for motion"),
         (None, {"start": "calib.json"}, "calib.json: the calibration file is missing"),
@@ -311,16 +253,29 @@ def test_numbers_that_nothing_has_are_refused(tmp_path: Path, wrong: dict[str, A
         ),
     ],
 )
-def test_what_does_not_fit_together_is_refused_by_the_file(
+def test_what_nothing_has_or_does_not_fit_together_is_refused_by_the_file(
     tmp_path: Path, scan: Any, content: dict[str, Any], message: str
 ) -> None:
     with refused(message):
         frame(tmp_path, scan, **content)
 
 
-def test_a_start_may_be_told_in_words(tmp_path: Path) -> None:
-    expected = se3.make([[0, -1, 0], [0, 0, -1], [1, 0, 0]], [0, -0.08, -0.27])
-    assert np.allclose(frame(tmp_path, start=WORDS).start, expected)
+@pytest.mark.parametrize(
+    ("name", "pixels", "message"),
+    [
+        ("image.png", np.zeros((HEIGHT + 3, WIDTH)), r"image\.png: the image size does not fit the camera"),
+        ("image.png", np.zeros((HEIGHT // 2, WIDTH // 2)), r"scale fx, fy, cx, cy by 0\.5, and write the new"),
+        ("depth.npy", ONES, r"depth\.npy: the depth size does not fit"),
+        ("depth.npy", np.array([{}], object), r"depth\.npy: this is not an \.npy file of numbers"),
+    ],
+)
+def test_an_image_or_a_depth_map_that_does_not_fit_is_refused_by_name(
+    tmp_path: Path, name: str, pixels: Any, message: str
+) -> None:
+    write_frame(tmp_path, **({"depth": name} if name == "depth.npy" else {}))
+    cv2.imwrite(str(tmp_path / name), pixels) if name == "image.png" else np.save(tmp_path / name, pixels)
+    with refused(message):
+        dataset(tmp_path)[0]
 
 
 @pytest.mark.parametrize("key", ["start", "truth"])
@@ -375,16 +330,12 @@ def test_a_sweep_is_corrected_by_the_velocity_that_is_given(tmp_path: Path) -> N
     assert np.array_equal(found.twist, [0, 0, 0, 10, 0, 0])
 
 
-def test_a_folder_without_frames_says_what_it_should_hold(tmp_path: Path) -> None:
-    with refused(r"no frames; expected frame\.yaml in it or in its sub-folders"):
-        dataset(tmp_path)
-
-
-def test_sequence_time_and_poses_of_both_sensors_come_along(tmp_path: Path) -> None:
+def test_sequence_time_poses_of_both_sensors_and_a_start_in_words_come_along(tmp_path: Path) -> None:
     lidar, camera = (se3.exp(np.array(v)) for v in ([0.1, 0, 0.2, 3, 4, 5.0], [0, 0.2, 0, -1, 0.5, 2.0]))
     quaternion = Rotation.from_matrix(camera[:3, :3]).as_quat().tolist()
     found = frame(
         tmp_path,
+        start=WORDS,
         sequence="yard",
         time_s=12.5,
         lidar_world_from_lidar=lidar.tolist(),
@@ -394,6 +345,7 @@ def test_sequence_time_and_poses_of_both_sensors_come_along(tmp_path: Path) -> N
     assert np.allclose(found.lidar_world_from_lidar, lidar, atol=1e-12)
     assert np.allclose(found.camera_world_from_camera, camera, atol=1e-12)
     assert found.camera_from_lidar is None
+    np.testing.assert_allclose(found.start, se3.make([[0, -1, 0], [0, 0, -1], [1, 0, 0]], [0, -0.08, -0.27]))
 
 
 def test_targets_are_boards_with_corners_or_holes_balls_and_boxes(tmp_path: Path) -> None:
@@ -510,12 +462,6 @@ def test_the_poses_that_the_documentation_shows_look_ahead_along_the_lidars_x() 
     for start in starts:
         camera_from_lidar, _ = read_extrinsic("start", start, Path("datasets.md"))
         assert np.allclose(camera_from_lidar[:3, :3], [[0, -1, 0], [0, 0, -1], [1, 0, 0]], atol=1e-12)
-
-
-@pytest.mark.parametrize("name", ["front left", "front,left", "a\tb", "x" * 101])
-def test_a_name_of_a_camera_that_is_no_word_is_refused(tmp_path: Path, name: str) -> None:
-    with refused("the name of a camera is not valid"):
-        frame(tmp_path, camera_name=name)
 
 
 def test_camera_start_and_truth_may_be_calibration_files(tmp_path: Path) -> None:

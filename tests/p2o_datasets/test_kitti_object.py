@@ -29,44 +29,27 @@ def write_frame(folder: Path, name: str, **changes: object) -> np.ndarray:
 dataset = partial(opened, "kitti-object")
 
 
-def test_the_root_holds_training_or_is_it(tmp_path: Path) -> None:
-    for name in ("000010", "000002"):
-        write_frame(tmp_path / "training", name)
-    assert dataset(tmp_path).names == dataset(tmp_path / "training").names == ("000002", "000010")
-
-
 def test_every_frame_has_its_own_calibration(tmp_path: Path) -> None:
     write_frame(tmp_path, "000000")
+    right = write_image(tmp_path / "image_3/000000.png", seed=9)
     other = PROJECTIONS[2].copy()
     other[0, 0] = other[1, 1] = 44.0
     pixels = write_frame(tmp_path, "000001", P2=numbers(other))
     first, second = dataset(tmp_path)
     assert (first.camera.params[0], second.camera.params[0]) == (50, 44)
     assert np.array_equal(second.image.rgb, pixels)
+    assert np.array_equal(first.image.right, right)
+    assert (first.image.baseline_m, second.image.right) == (pytest.approx(0.54), None)
+    assert dataset(tmp_path, right=False)[0].image.right is None
     offset = np.linalg.solve(other[:, :3], other[:, 3])
     assert np.allclose(second.camera_from_lidar, se3.make(translation=offset) @ R_RECT @ VELO_TO_CAM, atol=1e-11)
     assert second.cloud.ring.max() == 63
     # From the moment of the picture, 4 ms after straight ahead.
     assert np.ptp(second.cloud.time_s) == pytest.approx(0.1, abs=2e-3)
     assert second.cloud.time_s.min() == pytest.approx(-0.054, abs=1e-3)
-
-
-def test_the_right_picture_is_read_where_present(tmp_path: Path) -> None:
-    write_frame(tmp_path, "000000")
-    assert dataset(tmp_path)[0].image.right is None
-    right = write_image(tmp_path / "image_3/000000.png", seed=9)
-    image = dataset(tmp_path)[0].image
-    assert np.array_equal(image.right, right)
-    assert image.baseline_m == pytest.approx(0.54)
-    assert dataset(tmp_path, right=False)[0].image.right is None
-
-
-def test_pykitti_compat_and_elevation_fix_have_their_effect(tmp_path: Path) -> None:
-    write_frame(tmp_path, "000000")
-    exact, changed = dataset(tmp_path)[0], dataset(tmp_path, pykitti_compat=True, elevation_fix_deg=0.2)[0]
-    between = exact.camera_from_lidar[:3, 3] - changed.camera_from_lidar[:3, 3]
-    assert np.allclose(between, [-31 * 0.003 / 50, (0.2 - 15.5 * 0.003) / 50, 0.003], atol=1e-11)
-    assert (changed.cloud.xyz[:, 2] - exact.cloud.xyz[:, 2]).mean() == pytest.approx(10 * np.radians(0.2), rel=0.01)
+    raised = dataset(tmp_path, pykitti_compat=True, elevation_fix_deg=0.2)[0]
+    assert np.allclose(raised.camera_from_lidar[2, 3], first.camera_from_lidar[2, 3] - 0.003, atol=1e-11)
+    assert (raised.cloud.xyz[:, 2] - first.cloud.xyz[:, 2]).mean() == pytest.approx(10 * np.radians(0.2), rel=0.01)
 
 
 def test_frames_may_have_any_names_but_hidden_files_are_none(tmp_path: Path) -> None:
@@ -76,7 +59,7 @@ def test_frames_may_have_any_names_but_hidden_files_are_none(tmp_path: Path) -> 
         write_sweep(tmp_path / f"training/velodyne/{name}.bin")
         write_image(tmp_path / f"training/image_2/{name}.png")
     found = dataset(tmp_path)
-    assert found.names == ("000000", "left-²")
+    assert found.names == dataset(tmp_path / "training").names == ("000000", "left-²")
     assert found[1].name == "left-²"
 
 

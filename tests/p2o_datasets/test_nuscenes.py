@@ -46,11 +46,6 @@ def test_the_true_extrinsic_shows_the_moved_sweep_where_the_world_is(tmp_path: P
         assert np.allclose(frame.lidar_world_from_lidar, world_from_ego(time_us) @ EGO_FROM["LIDAR_TOP"])
 
 
-def test_a_sweep_may_stay_where_it_was(tmp_path: Path) -> None:
-    frame = dataset(Tree(tmp_path).write(), moved=False)[0]
-    assert np.array_equal(frame.cloud.xyz, points_of(START_US + 47_000))
-
-
 def test_scenes_cameras_and_what_lies_between_are_chosen(tmp_path: Path) -> None:
     root = Tree(tmp_path).write()
     assert len(dataset(root, scenes="scene-0061")) == 2

@@ -90,13 +90,18 @@ def read(folder: Path, form: str, columns: dict[str, Any], clock: PointClock | N
     return read_points(read_fields(path), path, clock or PointClock.of_image(0.0))
 
 
-@pytest.mark.parametrize("form", FORMATS)
+NAMES = {
+    "ring": ("ring", "laser_id", "line", "row", "channel", "laser", "scalar_Ring"),
+    "intensity": ("intensity", "intensities", "reflectivity", "i", "scalar_Intensity"),
+    "time_s": ("time", "t", "timestamp", "offset_time", "time_offset", "scalar_Time_Stamp"),
+}
+
+
 @pytest.mark.parametrize(
-    ("name", "target"),
+    ("form", "name", "target"),
     [
-        *((name, "ring") for name in ("ring", "laser_id", "line", "row", "channel", "laser", "scalar_Ring")),
-        *((name, "intensity") for name in ("intensity", "intensities", "reflectivity", "i", "scalar_Intensity")),
-        *((name, "time_s") for name in ("time", "t", "timestamp", "offset_time", "time_offset", "scalar_Time_Stamp")),
+        *(("npz", name, target) for target, names in NAMES.items() for name in names),
+        *((form, names[0], target) for target, names in NAMES.items() for form in FORMATS if form != "npz"),
     ],
 )
 def test_fields_are_found_by_all_names_in_every_format(tmp_path: Path, form: str, name: str, target: str) -> None:
@@ -115,9 +120,13 @@ def test_fields_are_found_by_all_names_in_every_format(tmp_path: Path, form: str
     assert name not in found.unused
 
 
-@pytest.mark.parametrize("form", FORMATS)
-@pytest.mark.parametrize("per", [1, 1e3, 1e6, 1e9], ids=["s", "ms", "us", "ns"])
-@pytest.mark.parametrize("start_s", [0.0, -0.05, 1_700_000_000.0], ids=["relative", "before", "absolute"])
+@pytest.mark.parametrize(
+    ("form", "per", "start_s"),
+    [
+        *(("npz", per, start_s) for per in (1, 1e3, 1e6, 1e9) for start_s in (0.0, -0.05, 1.7e9)),
+        *((form, 1e9, 1.7e9) for form in FORMATS if form != "npz"),
+    ],
+)
 def test_times_of_any_unit_are_seconds_after_the_image_in_every_format(
     tmp_path: Path, form: str, per: float, start_s: float
 ) -> None:

@@ -267,7 +267,7 @@ def test_frames_are_chosen_by_the_way_that_odometry_or_tf_tells(tmp_path: Path) 
 
 
 def test_a_frame_reads_its_two_messages_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    found = dataset(write_bag(tmp_path, drive(5)))
+    found = pickle.loads(pickle.dumps(dataset(write_bag(tmp_path, drive(5)))))  # noqa: S301  (in another process, too)
     asked: list[tuple[str, int]] = []
     real = Bag.message
 
@@ -276,14 +276,10 @@ def test_a_frame_reads_its_two_messages_only(tmp_path: Path, monkeypatch: pytest
         return real(self, topic, time_ns, number)
 
     monkeypatch.setattr(Bag, "message", message)
-    assert found[3].name.endswith("300000000")
+    frame = found[3]
+    assert frame.name.endswith("300000000")
+    assert np.array_equal(frame.image.rgb, pixels(3))
     assert asked == [("/image_raw", 300_000_000), ("/points", 300_000_000)]
-
-
-def test_frames_travel_to_other_processes(tmp_path: Path) -> None:
-    found = dataset(write_bag(tmp_path, drive()))
-    again = pickle.loads(pickle.dumps(found))  # noqa: S301
-    assert np.array_equal(again[1].image.rgb, found[1].image.rgb)
 
 
 def test_a_camera_file_stands_in_for_a_camera_info(tmp_path: Path) -> None:

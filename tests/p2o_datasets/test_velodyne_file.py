@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from p2o import Cloud, se3
 from p2o_datasets.velodyne_file import (
     raise_elevation,
     read_sweep,
@@ -46,31 +45,6 @@ def test_the_unit_spins_clockwise_so_left_comes_first_and_ahead_is_time_zero() -
     assert (left, ahead, right) == pytest.approx((-0.025, 0.0, 0.025), abs=1e-15)
 
 
-def test_points_straight_ahead_do_not_move_when_a_sweep_is_untwisted() -> None:
-    xyz = np.array([[10.0, 0, 0], [50.0, 0, -1], [3.0, 0, 1]])
-    cloud = Cloud(xyz, time_s=times_from_azimuth(azimuths(xyz), 0.1))
-    assert np.array_equal(cloud.untwisted(np.array([0.1, 0.2, 0.3, 15.0, 1.0, 0.5])).xyz, xyz)
-
-
-def test_driving_on_brings_points_seen_before_closer_and_points_seen_after_further() -> None:
-    # At 20 m/s the left side was measured 25 ms early, 0.5 m behind: seen from "now" it lies 0.5 m further back.
-    xyz = np.array([[0.0, 10.0, 0.0], [0.0, -10.0, 0.0]])
-    cloud = Cloud(xyz, time_s=times_from_azimuth(azimuths(xyz), 0.1))
-    moved = cloud.untwisted(np.array([0.0, 0, 0, 20.0, 0, 0])).xyz
-    assert np.allclose(moved, [[-0.5, 10, 0], [0.5, -10, 0]], atol=1e-12)
-
-
-def test_untwisting_is_the_exponential_of_twist_times_time() -> None:
-    rng = np.random.default_rng(4)
-    cloud = Cloud(rng.uniform(-50, 50, (300, 3)), time_s=rng.uniform(-0.05, 0.05, 300))
-    twist = np.array([0.3, -0.5, 0.9, 20.0, -3.0, 1.0])
-    each = se3.exp(twist * cloud.time_s[:, None])
-    expected = np.einsum("nij,nj->ni", each[:, :3, :3], cloud.xyz) + each[:, :3, 3]
-    assert np.allclose(cloud.untwisted(twist).xyz, expected, atol=1e-11)
-    without_times = Cloud(cloud.xyz)
-    assert without_times.untwisted(twist) is without_times
-
-
 def test_raising_elevations_keeps_ranges_and_azimuths() -> None:
     xyz = np.random.default_rng(8).uniform(-30, 30, (100, 3))
     raised = raise_elevation(xyz, 0.2)
@@ -78,10 +52,3 @@ def test_raising_elevations_keeps_ranges_and_azimuths() -> None:
     assert np.allclose(elevation[1] - elevation[0], 0.2, atol=1e-10)
     assert np.allclose(np.linalg.norm(raised, axis=1), np.linalg.norm(xyz, axis=1))
     assert np.allclose(azimuths(raised), azimuths(xyz))
-
-
-def test_the_elevation_fix_is_applied_on_reading(tmp_path: Path) -> None:
-    write_sweep(tmp_path / "a.bin")
-    plain, fixed = (read_sweep(tmp_path / "a.bin", sweep_s=0.1, elevation_fix_deg=d)[0] for d in (0.0, 0.2))
-    assert np.allclose(fixed.xyz, raise_elevation(plain.xyz, 0.2))
-    assert np.array_equal(fixed.ring, plain.ring)

@@ -71,7 +71,7 @@ def test_damage_anywhere_is_one_line_or_another_frame(tmp_path: Path) -> None:
     path = write_records(Segment(tmp_path))
     whole_file = path.read_bytes()
     said = []
-    for _ in range(150):
+    for _ in range(60):
         data = bytearray(whole_file)
         for _ in range(rng.choice((1, 3))):
             # The small fields are in front.
@@ -81,7 +81,7 @@ def test_damage_anywhere_is_one_line_or_another_frame(tmp_path: Path) -> None:
             dataset(tmp_path)[0]
         except InputError as problem:
             said.append(str(problem))
-    assert len(said) > 50
+    assert len(said) > 20
     assert not any("\n" in text for text in said)
 
 

@@ -17,22 +17,14 @@ from .drive import SPEED_M_S, TURN_RAD_S, car, mounted, through, tilted
 SEGMENT = "10017090168044687777_6380_000_6400_000"
 START_US = 1_550_083_467_346_370
 WIDTH, HEIGHT = 96, 64
-LENS = {
-    "f_u": 80.0,
-    "f_v": 81.0,
-    "c_u": 47.6,
-    "c_v": 31.2,
-    "k1": 0.04,
-    "k2": -0.3,
-    "p1": 0.002,
-    "p2": -0.001,
-    "k3": 0.1,
-}
+LENS = {"f_u": 80.0, "f_v": 81.0, "c_u": 47.6, "c_v": 31.2}
+LENS |= {"k1": 0.04, "k2": -0.3, "p1": 0.002, "p2": -0.001, "k3": 0.1}
 CAMERAS = {1: mounted(tilted((0.5, -1, 0.8)), 1.5, 0.0, 2.1), 4: mounted(tilted((0, 1, 90)), 1.4, 0.1, 2.1)}
 LIDARS = {1: mounted(tilted((0.4, -0.3, 148)), 1.43, 0.0, 2.18), 5: mounted(tilted((0, 1, 178)), -1.1, 0.0, 0.5)}
 ROWS, COLUMNS = 16, 180
 INCLINATIONS = np.linspace(-0.3, 0.05, ROWS) ** 3 * 2 + np.linspace(-0.25, 0.04, ROWS)
 SHUTTER_S, READOUT_S = 0.002, 0.042
+EXTRINSIC = "[CameraCalibrationComponent].extrinsic.transform"
 
 
 def seconds(time_us: float) -> float:

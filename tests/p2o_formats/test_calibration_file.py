@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from p2o import Camera, Result, Status, se3
+from p2o import Camera, InputError, Result, Status, se3
 from p2o.host.calibration_file import read_calibration_file
 from p2o.reading import Calibration, result_to_json
 from p2o.results.evidence import Accuracy
 from p2o_formats.formats import WRITTEN
 from p2o_formats.kitti_calibration import read_calibration
+from p2o_formats.result_file import EXPORTER
 
 POSE = se3.exp(np.array([0.1, 0.2, 0.3, 1 / 3, -2 / 7, 1e-9]))
 CAMERA = Camera.pinhole(700, 700, 320, 120, 640, 240)
@@ -37,11 +38,6 @@ def test_a_layout_of_kitti_has_its_keys(tmp_path: Path, layout: str, expected: d
         np.testing.assert_array_equal(calibration.numbers(key, value.shape), value)
 
 
-def test_the_forms_that_people_ask_for_are_there() -> None:
-    wanted = {"ros2", "autoware", "koide", "opencalib", "kalibr", "colmap", "colmap-cameras", "opencv", "npy", "text"}
-    assert wanted | {"kitti", "matrix", "camera-info"} <= set(BY_NAME)
-
-
 COMMENT = "p2o: trusted; predicted error 0.21 deg, 3.4 cm (67 %), 0.50 deg, 8.1 cm (95 %)"
 FORMS = [(name, {}) for name in sorted(BY_NAME)] + [("ros2", {"form": form}) for form in ("launch", "urdf")]
 
@@ -60,6 +56,13 @@ def test_files_with_comments_state_verdict_and_predicted_error(
     assert (exact.camera, exact.parts) == (expected.camera, expected.parts)
     if exact.camera_from_lidar is not None:
         np.testing.assert_array_equal(exact.camera_from_lidar, expected.camera_from_lidar)
+
+
+@pytest.mark.parametrize(("name", "message"), [("", "name a file, not a folder"), ("file/x", "cannot write the file")])
+def test_a_folder_and_a_path_below_a_file_are_refused(tmp_path: Path, name: str, message: str) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match=message):
+        EXPORTER.build(EXPORTER.options())(RESULT, tmp_path / name)
 
 
 def test_a_converted_result_keeps_the_comment(tmp_path: Path) -> None:

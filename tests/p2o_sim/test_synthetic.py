@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import subprocess
-import sys
 from collections.abc import Iterator
 from functools import cache, lru_cache
 from itertools import pairwise
@@ -12,10 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from p2o import Dataset, Frame, InputError, se3
+from p2o import Frame, InputError, se3
 from p2o.geometry.perturb import parse_perturbation
-from p2o_sim import LIDARS, Class, synthetic
-from p2o_sim.synthetic import BASELINE_M, METHOD, SyntheticOptions, View, build, camera_from_lidar, camera_of, view
+from p2o_sim import Class, synthetic
+from p2o_sim.synthetic import BASELINE_M, SyntheticOptions, View, build, camera_from_lidar, camera_of, view
 from pydantic import ValidationError
 from scipy import ndimage
 
@@ -60,14 +57,23 @@ def _depth_errors(frame: Frame, camera_from_lidar: np.ndarray, least_points: int
     return np.abs(z[smooth] - 1 / ndimage.map_coordinates(inverse, uv[smooth, ::-1].T, order=1))
 
 
-@pytest.mark.parametrize("camera", ["pinhole", "opencv-distorted", "fisheye"])
-def test_a_sweep_of_a_moving_car_without_noise_agrees_with_the_depth_map_at_the_true_pose(camera: str) -> None:
-    frame = _frame(camera=camera, place="street", **HALF, **STILL)
+@pytest.mark.parametrize(
+    "options",
+    [
+        *({"camera": camera, "place": "street", **HALF} for camera in ("pinhole", "opencv-distorted", "fisheye")),
+        *({"place": place, "lidar": "os1-64"} for place in ("hall", "room")),
+    ],
+    ids=str,
+)
+def test_a_sweep_without_noise_agrees_with_the_depth_map_at_the_true_pose(options: dict[str, Any]) -> None:
+    frame = _frame(**options, **STILL)
     errors = _depth_errors(frame, frame.camera_from_lidar)
     assert np.median(errors) < 1e-3
-    assert np.percentile(errors, 90) < 0.02
+    assert not np.isnan(frame.image.depth_m).any()
     wrong = se3.exp(np.radians([1.0, 1.0, 0.0, 0.0, 0.0, 0.0])) @ frame.camera_from_lidar
-    assert np.median(_depth_errors(frame, wrong)) > 0.02
+    assert np.median(_depth_errors(frame, wrong)) > 5e-3
+    if options["place"] == "street":
+        assert np.percentile(errors, 90) < 0.02
 
 
 def test_the_truth_is_the_documented_rig() -> None:
@@ -117,19 +123,6 @@ def test_the_same_options_give_the_same_bytes_and_another_seed_or_scene_others()
     assert all(a != b for a, b in zip(first, other_seed, strict=True))
 
 
-def test_another_process_makes_the_same_bytes() -> None:
-    code = (
-        "import hashlib; from p2o_sim.synthetic import SyntheticOptions as O, build;"
-        f"f = build(O(**{STREET!r}))[0]; i = f.image;"
-        "a = (i.rgb, i.right, i.depth_m, f.cloud.xyz);"
-        "print(hashlib.sha256(b''.join(x.tobytes() for x in a)).hexdigest())"
-    )
-    there = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
-    frame = build(SyntheticOptions(**STREET))[0]
-    here = (frame.image.rgb, frame.image.right, frame.image.depth_m, frame.cloud.xyz)
-    assert there == hashlib.sha256(b"".join(values.tobytes() for values in here)).hexdigest()
-
-
 def test_noise_and_camera_leave_the_place_as_it_is() -> None:
     quiet, noisy = (_frame(**{**CLEAN, **STILL, "right": False, "noise_m": noise}) for noise in (0.0, 0.05))
     assert quiet.image.rgb.tobytes() == noisy.image.rgb.tobytes()
@@ -138,37 +131,14 @@ def test_noise_and_camera_leave_the_place_as_it_is() -> None:
     assert fisheye.cloud.xyz.tobytes() == quiet.cloud.xyz.tobytes()
 
 
-@pytest.mark.parametrize("lidar", LIDARS)
-def test_every_lidar_gives_what_it_has(lidar: str) -> None:
-    cloud = build(SyntheticOptions(**{**SMALL, "lidar": lidar}))[0].cloud
-    assert (cloud.ring is None) == (lidar in ("mid-40", "avia", "mid-360"))
-    assert len(cloud) > 3000
-    assert 0 <= cloud.intensity.min() < cloud.intensity.max() <= 1
-    assert -0.05 <= cloud.time_s.min() < cloud.time_s.max() <= 0.05
-
-
-@pytest.mark.parametrize("speed_m_s", [0.0, 3.0])
-def test_a_dwell_lasts_as_long_as_asked_and_is_compensated_exactly(speed_m_s: float) -> None:
-    dwell: dict[str, Any] = {**SMALL, "lidar": "mid-40", "speed_m_s": speed_m_s, "noise_m": 0.0}
+def test_a_dwell_lasts_as_long_as_asked_and_is_compensated_exactly() -> None:
+    dwell: dict[str, Any] = {**SMALL, "lidar": "mid-40", "speed_m_s": 3.0, "noise_m": 0.0}
     short, long = (build(SyntheticOptions(**dwell, sweep_s=sweep_s))[0] for sweep_s in (0.1, 1.0))
     assert len(long.cloud) > 5 * len(short.cloud)
     assert np.ptp(long.cloud.time_s) == pytest.approx(1.0, abs=0.02)
     raw = build(SyntheticOptions(**dwell, sweep_s=1.0, deskew=False))[0]
     np.testing.assert_array_equal(raw.cloud.untwisted(raw.twist).xyz, long.cloud.xyz)
-    assert np.abs(raw.cloud.xyz - long.cloud.xyz).max() == pytest.approx(speed_m_s / 2, abs=0.2)
-
-
-@pytest.mark.parametrize("wrong", [{"lidar": "vlp-16"}, {"lidar": "mid-40", "rig": "random"}])
-def test_a_rotating_lidar_has_no_other_sweep_than_a_revolution(wrong: dict[str, Any]) -> None:
-    with pytest.raises(InputError, match=r"sweep_s: the duration .* expected lidar=mid-40, avia or mid-360"):
-        build(SyntheticOptions(sweep_s=2.0, **wrong))
-
-
-def test_a_raw_sweep_untwisted_by_the_frames_twist_is_the_deskewed_one() -> None:
-    raw, straight = (build(SyntheticOptions(deskew=d, speed_m_s=20.0, **SMALL))[0] for d in (False, True))
-    np.testing.assert_array_equal(raw.cloud.untwisted(raw.twist).xyz, straight.cloud.xyz)
-    assert np.linalg.norm(raw.twist[3:]) == pytest.approx(20.0, rel=0.02)
-    assert np.abs(raw.cloud.xyz - straight.cloud.xyz).max() > 0.5
+    assert np.abs(raw.cloud.xyz - long.cloud.xyz).max() == pytest.approx(3.0 / 2, abs=0.2)
 
 
 def test_frames_of_a_drive_show_one_place_from_a_moving_car() -> None:
@@ -192,23 +162,13 @@ def test_the_mounting_slips_exactly_at_its_frame_by_exactly_its_size() -> None:
     assert se3.distance_m(slip) == pytest.approx(0.05)
 
 
-def test_a_drift_after_the_end_of_the_drive_is_refused() -> None:
-    with pytest.raises(InputError, match="changes after the end of the drive"):
-        build(SyntheticOptions(frames_per_scene=4, drift_at_frame=4))
-
-
-@pytest.mark.parametrize("size", ["2deg 0.15m", "0deg 0m", "5deg"])
+@pytest.mark.parametrize("size", ["2deg 0.15m", "0deg 0m"])
 def test_the_start_is_wrong_by_exactly_its_size(size: str) -> None:
     frame = build(SyntheticOptions(start_error=size, **SMALL))[0]
     off = se3.inverse(frame.camera_from_lidar) @ frame.start
     wanted = parse_perturbation(size)
     assert se3.angle_deg(off) == pytest.approx(wanted.angle_deg, abs=1e-6)
     assert se3.distance_m(off) == pytest.approx(wanted.distance_m, abs=1e-9)
-
-
-def test_more_exposure_makes_brighter_pictures() -> None:
-    means = [build(SyntheticOptions(exposure_ev=ev, **SMALL))[0].image.rgb.mean() for ev in (-3.0, -1.0, 0.0, 1.0, 3.0)]
-    assert (np.diff(means) > 5).all()
 
 
 YARD: dict[str, Any] = {"place": "yard", "width_px": 621, "height_px": 240, "right": False, "lidar": "vlp-16"}
@@ -243,10 +203,10 @@ def test_a_detector_finds_the_corners_of_the_board_where_its_true_pose_puts_them
 
 
 def test_the_board_stands_elsewhere_in_each_frame_of_a_car_that_stands() -> None:
-    options = SyntheticOptions(targets="checkerboard", frames_per_scene=3, **YARD)
+    options = SyntheticOptions(targets="checkerboard", frames_per_scene=3, **{**YARD, **SMALL})
     views = [view(options, 0, number) for number in range(3)]
     places = np.array([v.boards[0].centre for v in views])
-    assert min(np.linalg.norm(places[a] - places[b]) for a, b in ((0, 1), (0, 2), (1, 2))) > 0.3
+    assert min(np.linalg.norm(places[a] - places[b]) for a, b in ((0, 1), (0, 2), (1, 2))) > 0.1
     for seen in views:
         np.testing.assert_array_equal(seen.moment.world_from_lidar, views[0].moment.world_from_lidar)
         np.testing.assert_array_equal(seen.frame.twist, np.zeros(6))
@@ -262,14 +222,14 @@ def test_several_boards_stand_apart_and_each_is_in_the_frame() -> None:
     assert np.diff(across).min() > 0.8
 
 
-@pytest.mark.parametrize("targets", ["checkerboard", "holes"])
-def test_the_true_mounting_shows_in_the_picture_and_nowhere_else(targets: str) -> None:
+def test_the_true_mounting_shows_in_the_picture_and_nowhere_else() -> None:
     tilted = (0.35, 0.0, -0.12, 1.5, 0.5, -1.0)
     drive = {"frames_per_scene": 2, "speed_m_s": 3.0, "swing_deg": 20.0, "tilt_deg": 3.0}
-    options = {**YARD, **SMALL, **drive, "targets": targets}
+    options = {**YARD, **SMALL, **drive, "targets": "checkerboard"}
     one, other = (view(SyntheticOptions(**options, **mount), 0, 1) for mount in ({}, {"mount": tilted}))
     assert one.frame.targets == other.frame.targets
     assert one.boards[0].world_from_board.tobytes() == other.boards[0].world_from_board.tobytes()
+    np.testing.assert_allclose(se3.inverse(other.frame.camera_from_lidar)[:3, 3], tilted[:3], atol=1e-12)
     for name in ("lidar_world_from_lidar", "twist"):
         assert getattr(one.frame, name).tobytes() == getattr(other.frame, name).tobytes()
     assert (one.frame.sequence, one.frame.time_s) == (other.frame.sequence, other.frame.time_s)
@@ -337,35 +297,17 @@ def test_a_frame_that_stands_alone_has_no_sequence_and_no_targets_unless_asked()
     assert frame.camera_world_from_camera is None
 
 
-def test_a_car_that_stands_cannot_swing() -> None:
-    with pytest.raises(InputError, match="does not turn"):
-        build(SyntheticOptions(targets="checkerboard", swing_deg=20.0))
-
-
-def test_a_pattern_larger_than_its_board_is_refused_before_a_frame_is_made() -> None:
-    with pytest.raises(InputError, match="smaller than its pattern"):
-        build(SyntheticOptions(targets="checkerboard", square_m=0.2, board_width_m=1.0))
-
-
 def test_foliage_is_masked_on_request_and_only_foliage() -> None:
     options = SyntheticOptions(mask_foliage=True, place="trees", **SMALL)
     seen = view(options, 0)
     np.testing.assert_array_equal(seen.frame.image.masked, seen.rendered.foliage)
     assert 0.1 < seen.rendered.foliage.mean() < 0.95
-    assert build(SyntheticOptions(place="trees", **SMALL))[0].image.masked is None
+    assert _frame().image.masked is None
 
 
-def test_another_mounting_moves_the_truth_and_the_picture() -> None:
-    mount = (1.5, 0.0, -0.3, 2.0, 0.0, 0.0)
-    truth = build(SyntheticOptions(mount=mount, **SMALL))[0].camera_from_lidar
-    np.testing.assert_allclose(se3.inverse(truth)[:3, 3], mount[:3], atol=1e-12)
-    # Turned up by 2 degrees about the camera's x axis, what lies ahead moves down in the rendered.
-    ahead = truth[:3, :3] @ [1.0, 0.0, 0.0]
-    assert abs(np.degrees(np.arctan2(ahead[1], ahead[2]))) == pytest.approx(2.0)
-
-
-@pytest.mark.parametrize("camera", ["pinhole", "opencv-distorted", "fisheye"])
-@pytest.mark.parametrize("focal_px", [110.0, 600.0])
+@pytest.mark.parametrize(
+    ("camera", "focal_px"), [("pinhole", 110.0), ("pinhole", 600.0), ("opencv-distorted", 600.0), ("fisheye", 110.0)]
+)
 def test_a_given_focal_length_is_that_of_the_picture_whatever_its_width(camera: str, focal_px: float) -> None:
     frame = _frame(camera=camera, focal_px=focal_px, place="street", **STILL)
     ahead = np.array([[0.0, 0.0, 1.0], [0.01, 0.0, 1.0]])
@@ -388,14 +330,6 @@ def test_in_a_building_the_rig_is_slow_and_low_unless_told(place: str) -> None:
     assert np.linalg.norm(told.moment.twist[3:]) == pytest.approx(2.0)
 
 
-@pytest.mark.parametrize("place", ["hall", "room"])
-def test_in_a_building_sweep_and_depth_map_agree_at_the_true_pose(place: str) -> None:
-    frame = _frame(place=place, lidar="os1-64", **STILL)
-    assert np.median(_depth_errors(frame, frame.camera_from_lidar)) < 1e-3
-    wrong = se3.exp(np.radians([1.0, 1.0, 0.0, 0.0, 0.0, 0.0])) @ frame.camera_from_lidar
-    assert np.median(_depth_errors(frame, wrong)) > 5e-3
-
-
 @pytest.mark.parametrize("weather", ["overcast", "rain", "fog", "night"])
 def test_weather_changes_the_picture_and_neither_the_place_nor_the_truth(weather: str) -> None:
     clear, other = _frame(weather="clear", **STREET), build(SyntheticOptions(weather=weather, **STREET))[0]
@@ -408,7 +342,6 @@ def test_weather_changes_the_picture_and_neither_the_place_nor_the_truth(weather
         assert clear.cloud.xyz.tobytes() != other.cloud.xyz.tobytes()
     else:
         assert clear.cloud.xyz.tobytes() == other.cloud.xyz.tobytes()
-    assert _bytes(other) == _bytes(build(SyntheticOptions(weather=weather, **STREET))[0])
 
 
 def test_in_a_room_it_does_not_rain() -> None:
@@ -428,19 +361,13 @@ def test_each_scene_of_random_rigs_has_its_own_one_and_a_start_as_wrong_as_asked
     assert [se3.distance_m(error) for error in off] == pytest.approx([0.2] * 3, abs=1e-9)
     assert se3.angle_deg(se3.inverse(off[0]) @ off[1]) > 0.1
     again = build(SyntheticOptions(**RANDOM, start_error="3deg 0.2m"))[1]
-    for a, b in (
-        (again.image.rgb, frames[1].image.rgb),
-        (again.cloud.xyz, frames[1].cloud.xyz),
-        (again.start, frames[1].start),
-    ):
-        assert a.tobytes() == b.tobytes()
+    assert again.cloud.xyz.tobytes() == frames[1].cloud.xyz.tobytes()
 
 
 def test_a_random_rig_sees_in_its_sweep_what_its_depth_map_says() -> None:
     options = SyntheticOptions(rig="random-rings", megapixels=0.05, place="room", speed_m_s=0.0, **STILL)
-    for number in range(3):
-        frame = view(options, number).frame
-        assert np.median(_depth_errors(frame, frame.camera_from_lidar, 100)) < 2e-3
+    frame = view(options, 1).frame
+    assert np.median(_depth_errors(frame, frame.camera_from_lidar, 100)) < 2e-3
 
 
 @pytest.mark.parametrize(
@@ -460,10 +387,7 @@ def test_megapixels_reduce_image_and_focal_length_of_all_cameras_of_a_fixed_rig(
 def test_megapixels_enlarge_no_image_and_bound_the_memory_of_a_fixed_rig() -> None:
     options = SyntheticOptions(**SMALL, megapixels=1)
     assert view(options, 0).frame.camera == camera_of(options)
-    large = {"width_px": 8192, "height_px": 8192}
-    assert len(build(SyntheticOptions(**large, megapixels=1))) == 1
-    with pytest.raises(InputError, match="too much memory"):
-        build(SyntheticOptions(**large))
+    assert len(build(SyntheticOptions(width_px=8192, height_px=8192, megapixels=1))) == 1
 
 
 def test_frames_of_a_drive_share_the_random_rig_of_their_scene() -> None:
@@ -476,44 +400,6 @@ def test_frames_of_a_drive_share_the_random_rig_of_their_scene() -> None:
         moved = se3.inverse(first.lidar_world_from_lidar) @ second.lidar_world_from_lidar
         np.testing.assert_allclose(step @ first.camera_from_lidar, first.camera_from_lidar @ moved, atol=1e-9)
     assert frames[0].camera != frames[2].camera
-
-
-def test_boards_before_a_random_rig_are_refused() -> None:
-    with pytest.raises(InputError, match="may not observe the boards"):
-        build(SyntheticOptions(rig="random", targets="holes"))
-
-
-def test_frames_carry_what_the_method_says_it_gives() -> None:
-    frame = _frame()
-    assert METHOD.gives == {"right", "depth", "truth", "rings", "intensity", "time", "twist"}
-    assert frame.image.right is not None
-    assert frame.image.depth_m is not None
-    assert frame.image.masked is None
-    assert frame.camera_from_lidar is not None
-    assert set(np.unique(frame.cloud.ring)) == set(range(64))
-    assert 0 <= frame.cloud.intensity.min() < frame.cloud.intensity.max() <= 1
-    assert frame.cloud.time_s.min() >= -0.05
-    assert frame.cloud.time_s.max() <= 0.05
-    assert frame.start is not None
-    assert frame.twist is not None
-
-
-@pytest.mark.parametrize("camera", ["opencv-distorted", "fisheye"])
-def test_distorted_cameras_fill_the_whole_image_and_have_no_right_picture(camera: str) -> None:
-    frame = _frame(camera=camera)
-    assert frame.image.right is None
-    assert frame.image.masked is None
-    assert not np.isnan(frame.image.depth_m).any()
-
-
-def test_it_is_a_lazy_dataset_with_names() -> None:
-    dataset = build(SyntheticOptions(scenes=1000, width_px=64, height_px=64, lidar="vlp-16"))
-    assert isinstance(dataset, Dataset)
-    assert (len(dataset), dataset.names[0], dataset.names[-1]) == (1000, "scene-0000", "scene-0999")
-    assert dataset[-1].name == "scene-0999"
-    assert len(dataset[2:5]) == 3
-    with pytest.raises(IndexError):
-        dataset[1000]
 
 
 @pytest.mark.parametrize(
@@ -536,6 +422,7 @@ def test_it_is_a_lazy_dataset_with_names() -> None:
         {"mount": (1e300, 0, 0, 0, 0, 0)},
         {"mount": (0, 0, 0, 1e9, 0, 0)},
         {"scenes": 10**9},
+        *({"lidar_at": place} for place in ("1,2,3", "0,0,0,0,0,400", "a,0,0,0,0,0")),
     ],
 )
 def test_options_out_of_bounds_are_refused(wrong: dict[str, Any]) -> None:
@@ -544,16 +431,27 @@ def test_options_out_of_bounds_are_refused(wrong: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize(
-    "wanted",
+    ("options", "message"),
     [
-        {"scenes": 1000, "frames_per_scene": 1000},
-        {"width_px": 8192, "height_px": 8192},
-        {"frames_per_scene": 1000, "speed_m_s": 60, "period_s": 60},
+        *(
+            ({"sweep_s": 2.0, **lidar}, r"sweep_s: the duration .* expected lidar=mid-40, avia or mid-360")
+            for lidar in ({"lidar": "vlp-16"}, {"lidar": "mid-40", "rig": "random"})
+        ),
+        ({"frames_per_scene": 4, "drift_at_frame": 4}, "changes after the end of the drive"),
+        ({"targets": "checkerboard", "swing_deg": 20.0}, "does not turn"),
+        ({"targets": "checkerboard", "square_m": 0.2, "board_width_m": 1.0}, "smaller than its pattern"),
+        ({"rig": "random", "targets": "holes"}, "may not observe the boards"),
+        ({"cameras": ("left", "left")}, "named twice"),
+        ({"scenes": 1000, "frames_per_scene": 1000}, "too many frames"),
+        ({"width_px": 8192, "height_px": 8192}, "would take too much memory; expected at most 1500 MB"),
+        ({"frames_per_scene": 1000, "speed_m_s": 60, "period_s": 60}, "would take too much memory"),
     ],
 )
-def test_what_would_fill_the_memory_is_refused_before_anything_is_made(wanted: dict[str, Any]) -> None:
-    with pytest.raises(InputError, match=r"too many frames|would take too much memory; expected at most 1500 MB"):
-        build(SyntheticOptions(**wanted))
+def test_options_that_contradict_each_other_or_fill_the_memory_are_refused_before_a_frame_is_made(
+    options: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        build(SyntheticOptions(**options))
 
 
 RIG: dict[str, Any] = {**SMALL, "cameras": "front,left", "frames_per_scene": 2, "period_s": 1.0}
@@ -585,14 +483,12 @@ def test_cameras_of_a_rig_see_one_sweep_from_a_mounting_turned_about_the_lidar()
     np.testing.assert_allclose(off[0], off[1], atol=1e-9)
 
 
-def test_a_rig_of_one_camera_is_the_same_picture_under_another_name_and_a_camera_named_twice_is_refused() -> None:
+def test_a_rig_of_one_camera_is_the_same_picture_under_another_name() -> None:
     alone, named = (
         build(SyntheticOptions(**{**SMALL, "grain": 0.0}, **more))[0] for more in ({}, {"cameras": "front"})
     )
     np.testing.assert_array_equal(alone.image.rgb, named.image.rgb)
     assert (alone.camera_name, named.camera_name, named.name) == ("", "front", "scene-0000/front")
-    with pytest.raises(InputError, match="named twice"):
-        build(SyntheticOptions(cameras=("left", "left")))
 
 
 PLACE = (-0.8, 0.6, -0.3, 10.0, -5.0, 70.0)
@@ -616,14 +512,6 @@ def test_another_place_of_the_lidar_changes_the_sweep_and_the_truth_only() -> No
     assert np.median(_depth_errors(moved, moved.camera_from_lidar, 100)) < 0.05
     raw = build(SyntheticOptions(**options, lidar_at=PLACE, deskew=False))[0]
     np.testing.assert_array_equal(raw.cloud.untwisted(raw.twist).xyz, moved.cloud.xyz)
-
-
-def test_the_nominal_place_is_the_default_and_texts_are_read() -> None:
-    default, stated = (build(SyntheticOptions(**SMALL, **more))[0] for more in ({}, {"lidar_at": "0,0,0,0,0,0"}))
-    assert default.cloud.xyz.tobytes() == stated.cloud.xyz.tobytes()
-    for wrong in ("1,2,3", "0,0,0,0,0,400", "a,0,0,0,0,0"):
-        with pytest.raises(ValidationError, match="lidar_at"):
-            SyntheticOptions(lidar_at=wrong)
 
 
 def test_six_cameras_look_in_six_directions() -> None:

@@ -45,7 +45,7 @@ def layouts(draw: st.DrawFn) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 @pytest.mark.parametrize("form", ["ros1", "mcap"])
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(drawn=layouts())
 def test_columns_come_back_from_any_layout(form: str, drawn: tuple[dict[str, Any], dict[str, Any]]) -> None:
     columns, layout = drawn

@@ -20,7 +20,7 @@ def rendered(place: str, seed: int) -> RenderedImage:
     return render(scene, CAMERA, WORLD_FROM_CAMERA)
 
 
-@pytest.mark.parametrize("seed", [*range(4), *(pytest.param(n, marks=pytest.mark.system) for n in range(4, 10))])
+@pytest.mark.parametrize("seed", [*range(2), *(pytest.param(n, marks=pytest.mark.system) for n in range(2, 10))])
 @pytest.mark.parametrize("place", USUAL)
 def test_every_frame_has_tens_of_hard_edges_in_all_four_directions(place: str, seed: int) -> None:
     _, side = occlusion.edges_from_orders(labels(rendered(place, seed), CAMERA, mask_foliage=True))
@@ -51,13 +51,6 @@ def test_the_same_seed_gives_the_same_place_and_another_seed_another(place: str)
     assert first.mesh.vertices.tobytes() != other.mesh.vertices.tobytes()
 
 
-def test_a_third_of_mixed_places_are_trees() -> None:
-    from p2o_sim.places.catalog import SHARES
-
-    assert 0.3 <= SHARES["trees"] <= 0.4
-    assert sum(SHARES.values()) == pytest.approx(1.0)
-
-
 def test_trees_and_streets_show_what_their_names_say() -> None:
     def shares(place: str) -> dict[Class, float]:
         classes = np.stack([rendered(place, seed).classes for seed in range(3)])
@@ -80,7 +73,7 @@ def test_inside_of_a_building_the_sky_is_seen_through_its_openings_only(place: s
     assert np.mean([np.isin(classes, [Class.WALL, Class.BUILDING]).mean() for classes in shown]) > 0.2
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("place", INDOORS)
 def test_the_way_of_a_rig_through_a_building_is_free_to_its_end(place: str, seed: int) -> None:
     scene, _ = scene_of(place, np.random.default_rng(seed), speed_m_s=1.0, travel_m=12.0)

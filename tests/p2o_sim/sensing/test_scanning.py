@@ -39,15 +39,6 @@ def test_points_of_every_lidar_lie_on_the_surfaces(slug: str) -> None:
     assert (abs(x - WALL_X) < 1e-9).sum() > 100
 
 
-@pytest.mark.parametrize("slug", [s for s, lidar in LIDARS.items() if isinstance(lidar, Lidar)])
-def test_every_ring_obeys_its_law_with_its_own_origin(slug: str) -> None:
-    lidar = LIDARS[slug]
-    cloud = sweep(walls(), lidar, POSE, _rng())
-    elevation, height = (np.array(v)[cloud.ring] for v in (lidar.elevation_deg, lidar.height_m))
-    expected = np.hypot(*cloud.xyz[:, :2].T) * np.tan(np.radians(elevation)) + height
-    np.testing.assert_allclose(cloud.xyz[:, 2], expected, atol=1e-9)
-
-
 def test_range_noise_moves_points_along_their_beams_with_its_deviation() -> None:
     clean, noisy = (sweep(walls(), replace(COARSE, range_noise_m=n), POSE, _rng()) for n in (0.0, 0.05))
     np.testing.assert_array_equal(clean.column, noisy.column)

@@ -13,7 +13,6 @@ from p2o_sim import (
     LIDARS,
     Board,
     Class,
-    Material,
     Part,
     Rig,
     Scene,
@@ -27,19 +26,10 @@ from p2o_sim import (
 from p2o_sim.things.board_holders import holder_of
 from p2o_sim.world.mesh import box
 
+from tests.p2o_sim.walls import FORWARD, GREY, ON_A_CAR, before_a_wall, in_frame, volume
+
 CAMERA = Camera.pinhole(360.0, 360.0, 310.0, 130.0, 621, 260)
-FORWARD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-"""Axes of a camera, and of a board that faces it, in the world."""
-WORLD_FROM_CAMERA = se3.make(FORWARD, (0.0, 0.0, 1.65))
-WORLD_FROM_LIDAR = se3.make(translation=(0.0, 0.1, 1.7))
-WALL_X = 9.0
-GREY = Material("grey", (0.3, 0.3, 0.3), reflectance=0.4)
-
-
-def before_a_wall(board: Board) -> Scene:
-    """Return a floor and a wall with the bare board before them."""
-    still = [Part(box(1.0, 60.0, -1.0, 12.0).moved(WALL_X + 0.5), GREY, 0), Part(box(80.0, 80.0, -1.0, 0.0), GREY, 1)]
-    return Scene(tuple(still), to_sun=(-1.0, 0.4, 0.7)).plus([thing_of(board)])
+WORLD_FROM_CAMERA, WORLD_FROM_LIDAR = ON_A_CAR
 
 
 def tilted(target: Checkerboard | HoleBoard, *, x: float = 4.0, y: float = 0.6) -> Board:
@@ -48,17 +38,12 @@ def tilted(target: Checkerboard | HoleBoard, *, x: float = 4.0, y: float = 0.6) 
     return Board(target, se3.make(FORWARD @ turn, (x, y, 1.5)))
 
 
-def seen_on(board: Board, xyz: np.ndarray) -> np.ndarray:
-    """Return points of the LiDAR frame in the frame of the board."""
-    return se3.apply(se3.inverse(board.world_from_board) @ WORLD_FROM_LIDAR, xyz)
-
-
 @cache
 def swept(kind: str) -> tuple[Board, np.ndarray, np.ndarray]:
     """Return a board with the points of an OS1-128 in its frame, without noise across the beams, and intensities."""
     board = tilted(target_of(kind, "a0"))
     cloud = sweep(before_a_wall(board), LIDARS["os1-128"], WORLD_FROM_LIDAR, np.random.default_rng(0))
-    return board, seen_on(board, cloud.xyz), cloud.intensity
+    return board, in_frame(board, cloud.xyz), cloud.intensity
 
 
 def test_the_corners_of_the_pattern_are_where_four_squares_meet_and_the_first_is_black() -> None:
@@ -100,12 +85,10 @@ def test_every_edge_of_a_board_joins_two_faces_that_look_outwards(kind: str) -> 
         else Checkerboard(4, 3, 0.1, 0.8, 0.6)
     )
     thing = thing_of(Board(target, np.eye(4)))
-    # The volume inside of a closed surface whose faces look outwards, by the divergence theorem.
-    corners = [np.stack([p.mesh.vertices[p.mesh.faces[:, i]] for i in range(3)], 1) for p in thing]
-    a, b, c = np.moveaxis(np.concatenate(corners), 1, 0)
-    volume = np.einsum("ni,ni->n", a, np.cross(b, c)).sum() / 6
     holes = np.pi * (0.15**2 + 0.1**2) if kind == "holes" else 0.0
-    assert volume == pytest.approx((target.width_m * target.height_m - holes) * 0.008, rel=1e-3)
+    assert volume([part.mesh for part in thing]) == pytest.approx(
+        (target.width_m * target.height_m - holes) * 0.008, rel=1e-3
+    )
 
 
 def test_holes_that_overlap_are_refused() -> None:
@@ -116,7 +99,7 @@ def test_holes_that_overlap_are_refused() -> None:
 def test_points_on_the_board_lie_in_its_plane_within_the_noise_of_the_range() -> None:
     board, xyz, _ = swept("checkerboard")
     inside = (np.abs(xyz[:, :2]) < np.array([0.55, 0.38])).all(axis=1) & (np.abs(xyz[:, 2]) < 0.3)
-    along = xyz[inside] - seen_on(board, np.zeros((1, 3)))
+    along = xyz[inside] - in_frame(board, np.zeros((1, 3)))
     slant = np.abs(along[:, 2]) / np.linalg.norm(along, axis=1)
     assert inside.sum() > 800
     assert (xyz[inside, 2] / slant).std() == pytest.approx(LIDARS["os1-128"].range_noise_m, rel=0.1)
@@ -140,7 +123,7 @@ def test_black_squares_send_back_less_than_white_ones() -> None:
 
 def test_beams_go_through_the_holes_and_nowhere_else() -> None:
     board, xyz, _ = swept("holes")
-    eye = seen_on(board, np.zeros((1, 3)))[0]
+    eye = in_frame(board, np.zeros((1, 3)))[0]
     share = -eye[2] / (xyz[:, 2] - eye[2])
     crossing = eye + share[:, None] * (xyz - eye)
     towards = xyz[:, 2] > -0.3

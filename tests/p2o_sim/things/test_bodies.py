@@ -11,10 +11,7 @@ from p2o_sim import (
     LIDARS,
     Board,
     Class,
-    Material,
-    Part,
     Rig,
-    Scene,
     boards_in_view,
     render,
     scene_of,
@@ -23,24 +20,16 @@ from p2o_sim import (
     thing_of,
 )
 from p2o_sim.things.bodies import TONES
-from p2o_sim.world.mesh import box
+
+from tests.p2o_sim.walls import FORWARD, ON_A_CAR, before_a_wall, in_frame, volume
 
 CAMERA = Camera.pinhole(360.0, 360.0, 310.0, 170.0, 621, 340)
 FISHEYE = Camera("OPENCV_FISHEYE", 621, 340, (240.0, 240.0, 310.0, 170.0, -0.03, 0.01, 0.0, 0.0))
-FORWARD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-WORLD_FROM_CAMERA = se3.make(FORWARD, (0.0, 0.0, 1.65))
-WORLD_FROM_LIDAR = se3.make(translation=(0.0, 0.1, 1.7))
-GREY = Material("grey", (0.3, 0.3, 0.3), reflectance=0.4)
+WORLD_FROM_CAMERA, WORLD_FROM_LIDAR = ON_A_CAR
 BALL = Board(Sphere(0.3), se3.make(translation=(3.0, 0.4, 1.5)))
 CUBOID = Board(
     Box(0.9, 0.7, 0.5), se3.make(FORWARD @ se3.exp(np.r_[0.5, -0.7, 0.3, 0, 0, 0])[:3, :3], (3.0, -0.3, 1.6))
 )
-
-
-def before_a_wall(board: Board) -> Scene:
-    """Return a floor and a wall with the bare body before them."""
-    still = (Part(box(1.0, 60.0, -1.0, 12.0).moved(9.5), GREY, 0), Part(box(80.0, 80.0, -1.0, 0.0), GREY, 1))
-    return Scene(still, to_sun=(-1.0, 0.4, 0.7)).plus([thing_of(board)])
 
 
 @cache
@@ -48,20 +37,13 @@ def swept(board: Board) -> Cloud:
     return sweep(before_a_wall(board), LIDARS["os1-128"], WORLD_FROM_LIDAR, np.random.default_rng(0))
 
 
-def in_frame(board: Board, xyz: np.ndarray) -> np.ndarray:
-    """Return points of the LiDAR frame in the frame of the body."""
-    return se3.apply(se3.inverse(board.world_from_board) @ WORLD_FROM_LIDAR, xyz)
-
-
 @pytest.mark.parametrize("board", [BALL, CUBOID], ids=["ball", "box"])
 def test_the_volume_of_a_body_is_that_of_its_size(board: Board) -> None:
     parts = thing_of(board)
     corners = np.concatenate([p.mesh.vertices[p.mesh.faces] for p in parts]) - board.centre
-    a, b, c = np.moveaxis(corners, 1, 0)
-    volume = np.einsum("ni,ni->n", a, np.cross(b, c)).sum() / 6  # positive where all faces look outwards
     size = board.target
     exact = 4 / 3 * np.pi * size.radius_m**3 if isinstance(size, Sphere) else np.prod(size.size_m)
-    assert volume == pytest.approx(exact, rel=1e-3)
+    assert volume([part.mesh for part in parts]) == pytest.approx(exact, rel=1e-3)
     if isinstance(size, Sphere):
         assert np.linalg.norm(corners.reshape(-1, 3), axis=1) == pytest.approx(size.radius_m, abs=1e-9)
         assert np.linalg.norm(corners.mean(axis=1), axis=1).min() > (1 - 3e-4) * size.radius_m

@@ -24,10 +24,6 @@ def _floor(lighting: Lighting, *more: Part) -> np.ndarray:
     return render(scene, CAMERA, down_axis(10.0)).light[..., 1]
 
 
-def test_without_sun_sky_and_lamps_it_is_dark() -> None:
-    assert _floor(NIGHT).max() == 0.0
-
-
 def test_the_light_of_a_lamp_falls_with_the_square_of_its_distance_and_with_the_slant() -> None:
     lamp = Lamp((0.0, 0.0, 2.0), (1.0, 1.0, 1.0), size_m=0.0)
     light = _floor(replace(NIGHT, lamps=(lamp,)))

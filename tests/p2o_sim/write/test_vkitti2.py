@@ -6,9 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import PIL.Image
-import pytest
-from p2o import Camera, Cloud, Frame, Image, InputError
-from p2o_sim.vkitti2 import VirtualKitti2Options, build
+from p2o import Camera, Cloud, Frame, Image
 from p2o_sim.write.vkitti2 import write
 
 CAMERA = Camera.pinhole(30.0, 31.0, 20.0, 8.0, 40, 16)
@@ -33,21 +31,3 @@ def test_depth_is_stored_in_centimetres_with_codes_for_unknown_and_sky(tmp_path:
     stored = np.array(PIL.Image.open(tmp_path / "Scene01/clone/frames/depth/Camera_0/depth_00000.png"))
     assert stored[0, :4].tolist() == [0, 65535, 65535, 1]
     np.testing.assert_allclose(stored[1:], 100 * sloped()[1:], atol=0.5)
-
-
-def test_what_is_written_is_read_back(tmp_path: Path) -> None:
-    written = frame(np.where(np.isnan(sloped()), 5.0, sloped()))
-    (name,) = write([written], tmp_path)
-    (read,) = build(VirtualKitti2Options(root=tmp_path, lidar="vlp-16"))[:]
-    assert read.name == name
-    assert read.camera == CAMERA
-    assert np.array_equal(read.image.rgb, written.image.rgb)
-    np.testing.assert_allclose(read.image.depth_m[1:], written.image.depth_m[1:], atol=0.005 + 1e-9)
-    assert np.isinf(read.image.depth_m[0, 1])
-    assert read.image.masked is not None
-    assert np.argwhere(read.image.masked).tolist() == [[3, 4]]
-
-
-def test_a_frame_without_depth_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="depth"):
-        list(write([frame(None)], tmp_path))

@@ -5,9 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from p2o import Cloud, Side
-from p2o_plugins.cloud import open_sky
 from p2o_plugins.cloud.rings import METHOD, RingsOptions
-from scipy import ndimage
 
 from tests.plugins.cloud.casting import GROUND, HDL32, OS128, Box, Lidar, Pole
 
@@ -60,15 +58,6 @@ def test_grazing_beams_still_show_the_thing_so_its_outline_is_moved_less():
         assert sign * apart == pytest.approx(10 * np.radians(0.09), rel=0.1)
 
 
-def test_roofs_are_lowered_by_the_same_angle_as_poles_are_narrowed():
-    cloud = Lidar(elevations_deg=OS128).scan(HOUSE, GROUND)
-    high, low = (new(cloud, open_wider_beams=share) for share in (0.0, 0.5))
-    fall = high.xyz[high.side == Side.UPPER][:, 2] - low.xyz[low.side == Side.UPPER][:, 2]
-    flat = np.hypot(*high.xyz[high.side == Side.UPPER][:, :2].T)
-    up = np.arctan2(high.xyz[high.side == Side.UPPER][:, 2], flat)
-    assert fall == pytest.approx(np.radians(0.09) * flat / np.cos(up) ** 2, rel=0.05)
-
-
 def test_a_window_that_swallows_beams_is_no_sky():
     cloud = Lidar(elevations_deg=OS128).scan(HOUSE, GROUND)
     azimuth = np.degrees(np.arctan2(cloud.xyz[:, 1], cloud.xyz[:, 0]))
@@ -113,11 +102,3 @@ def test_far_things_are_left_out_and_weights_are_as_asked():
 def test_a_sensor_that_hardly_looks_up_has_none():
     cloud = Lidar().scan(POLE, GROUND)  # an HDL-64E: 2 deg
     assert len(new(cloud)) == 0
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_masks_are_opened_as_by_scipy(seed):
-    rng = np.random.default_rng(seed)
-    mask = ndimage.uniform_filter(rng.random((rng.integers(4, 70), rng.integers(8, 200))), 3) > rng.uniform(0.3, 0.6)
-    wanted = ndimage.binary_opening(mask, np.ones((2, open_sky._CRACK), bool))
-    np.testing.assert_array_equal(open_sky._opened(mask), wanted)

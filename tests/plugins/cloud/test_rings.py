@@ -5,15 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import p2o
 import pytest
 from p2o import Cloud, CloudRemarks, InputError, Side
-from p2o.geometry.pose_error import pose_error
-from p2o_plugins.cloud import rings
 from p2o_plugins.cloud.rings import METHOD, RingsOptions
 from p2o_plugins.cloud.sweep import order_sweep
-from p2o_sim import synthetic
-from p2o_sim.synthetic import SyntheticOptions
 
 from tests.plugins.cloud.casting import GROUND, HDL32, HDL64, OS128, VLP16, Box, Lidar, Plane, Pole
 
@@ -65,6 +60,8 @@ def test_each_direction_lies_on_its_own_side_of_an_object():
     np.testing.assert_allclose(place[Side.BOTTOM][:, 2], -1.0, atol=0.04)
     assert min(map(len, place.values())) >= 8
     np.testing.assert_allclose(edges.xyz[:, 0], 7.9, atol=0.02)
+    cloud = Lidar().scan(SIGN, WALL)
+    assert set(map(tuple, edges_of(cloud, shift_beams=0).xyz)) < set(map(tuple, cloud.xyz)), "returns of the sweep"
 
 
 def test_edges_of_a_sweep_as_measured_know_when_they_were_seen():
@@ -81,15 +78,8 @@ def test_edges_of_a_sweep_as_measured_know_when_they_were_seen():
     assert not edges_of(corrected).time_s.any()
 
 
-@pytest.mark.parametrize("elevations", [VLP16, HDL32, HDL64, OS128], ids=["16", "32", "64", "128"])
-def test_sensors_of_16_to_128_rings_see_all_four_sides(elevations):
-    tall = Box((8, 0.4, 0), (0.2, 2.0, 2.0))
-    edges = edges_of(Lidar(elevations, step_deg=0.2).scan(tall, WALL))
-    assert np.unique(edges.side).tolist() == ([0, 1, 3] if elevations is HDL64 else [0, 1, 2, 3])
-
-
 @pytest.mark.parametrize("damage", ["none", "dropouts", "two-firings"])
-@pytest.mark.parametrize("step_deg", [0.5, 360 / 512, 1.2, 2.0])
+@pytest.mark.parametrize("step_deg", [0.5, 2.0])
 def test_sweeps_of_few_columns_show_left_and_right_edges(step_deg, damage):
     """A truck 8 m ahead, whatever the step in azimuth: its sides are met within a step."""
     rng = np.random.default_rng(0)
@@ -104,16 +94,6 @@ def test_sweeps_of_few_columns_show_left_and_right_edges(step_deg, damage):
     for side, y in ((Side.LEFT, 2.9), (Side.RIGHT, -2.1)):
         off = azimuth_deg(edges, side) - np.degrees(np.arctan2(y, 7.0))
         assert np.sum(np.abs(off) < step_deg) >= 5
-
-
-def test_a_sweep_of_512_columns_is_calibrated_without_options():
-    """An Ouster OS1-64 with every second of its 1024 columns: 0.703 deg from return to return."""
-    [frame] = synthetic.build(SyntheticOptions(lidar="os1-64", place="street", right=False, seed=5))
-    cloud = replace(frame.cloud.select(frame.cloud.column % 2 == 0), column=None)
-    result = p2o.calibrate(replace(frame, cloud=cloud), perturb="2deg 0.15m", seed=0).result
-    error = pose_error(result.camera_from_lidar, frame.camera_from_lidar)
-    assert error.rotation_deg < 0.5
-    assert error.translation_m < 0.15
 
 
 def test_rings_without_neighbours_are_named():
@@ -164,15 +144,7 @@ def test_the_upper_outline_has_no_bias_wherever_the_beams_cross_the_axis(lift_m)
     assert abs(np.mean(errors)) < 0.05 * 5 * np.radians(0.5)
 
 
-def test_without_shift_edges_are_returns_of_the_sweep():
-    cloud = Lidar().scan(SIGN, WALL)
-    edges = edges_of(cloud, shift_beams=0)
-    stored = {tuple(row) for row in cloud.xyz}
-    assert len(edges) > 0
-    assert all(tuple(row) in stored for row in edges.xyz)
-
-
-@pytest.mark.parametrize("yaw_deg", [0, 20, 40, 60, 75, 85, 88])
+@pytest.mark.parametrize("yaw_deg", [0, 40, 75, 88])
 @pytest.mark.parametrize("elevations", [VLP16, HDL64], ids=["16", "64"])
 def test_a_slanted_wall_alone_has_no_edges(yaw_deg, elevations):
     n = np.radians(yaw_deg)
@@ -192,18 +164,7 @@ def test_edges_near_the_ground_are_dropped_and_the_height_says_how_near():
     assert len(edges_of(cloud, ground_height_m=1.0)) == 0
 
 
-def test_an_object_across_the_seam_is_seen_like_any_other():
-    """A pole straight ahead lies on the first and last columns of each ring."""
-    edges = edges_of(Lidar(phase=0.5).scan(Pole(10, 0, 0.15), WALL, GROUND, Box((-20, 0, 0), (1, 30, 9))))
-    half_width = np.degrees(np.arcsin(0.015))
-    edges = edges.select(np.hypot(*edges.xyz[:, :2].T) < 11)
-    left, right = azimuth_deg(edges, Side.LEFT), azimuth_deg(edges, Side.RIGHT)
-    assert len(left) == len(right) == len(edges) / 2 > 30
-    np.testing.assert_allclose(left, half_width, atol=0.1)
-    np.testing.assert_allclose(right, -half_width, atol=0.1)
-
-
-@pytest.mark.parametrize("degrees", [37.0, 90.0, 180.0, 271.3])
+@pytest.mark.parametrize("degrees", [37.0, 180.0])
 def test_a_turned_sweep_has_the_same_edges_turned(degrees):
     cloud = Lidar(step_deg=0.36, phase=0.3).scan(*random_scene(1))
     moved = edges_of(Cloud(turned(cloud.xyz, degrees), cloud.ring))
@@ -225,29 +186,14 @@ def test_with_a_ring_per_point_the_order_of_points_and_the_numbering_of_rings_do
         np.testing.assert_allclose(as_rows(edges_of(Cloud(cloud.xyz, ring))), wanted, atol=1e-6)
 
 
-def test_points_firing_by_firing_with_rings_have_the_edges_of_a_sweep_ring_by_ring():
-    """Packets hold column after column, lasers of one firing in any order, and rings set off against each other."""
-    cloud = Lidar(step_deg=0.36).scan(*random_scene(2))
-    around = np.degrees(np.arctan2(cloud.xyz[:, 1], cloud.xyz[:, 0])) % 360
-    column = np.round((around / 0.36) + np.where(cloud.ring < 32, 12, 0)) % 1000
-    fired = cloud.select(np.lexsort(((cloud.ring * 7) % 64, -column)))
-    assert (np.diff(fired.ring) != 0).mean() > 0.9
-    np.testing.assert_allclose(as_rows(edges_of(fired)), as_rows(edges_of(cloud)), atol=1e-6)
-
-
-@pytest.mark.parametrize("degrees", [0.0, 90.0, 123.0, 180.0])
-@pytest.mark.parametrize("clockwise", [False, True])
+@pytest.mark.parametrize(("degrees", "clockwise"), [(0.0, True), (123.0, False), (180.0, True)])
 def test_points_in_file_order_need_no_ring(degrees, clockwise):
-    """Whichever way the sensor turns and wherever it starts a ring."""
+    """Whichever way the sensor turns and wherever it starts a ring, and if it is cut to the view ahead."""
     cloud = Lidar(step_deg=0.36, phase=0.4).scan(*random_scene(3))
     mirror = [1, -1 if clockwise else 1, 1]
     cloud = Cloud(turned(cloud.xyz * mirror, degrees), cloud.ring)
     wanted = as_rows(edges_of(cloud))
     np.testing.assert_allclose(as_rows(edges_of(Cloud(cloud.xyz))), wanted, atol=1e-6)
-
-
-def test_a_sweep_cut_to_the_view_ahead_still_tells_its_rings():
-    cloud = Lidar(step_deg=0.36, phase=0.4).scan(*random_scene(3))
     ahead = cloud.select(np.abs(cloud.xyz[:, 1]) < cloud.xyz[:, 0])
     np.testing.assert_allclose(as_rows(edges_of(Cloud(ahead.xyz))), as_rows(edges_of(ahead)), atol=1e-6)
 
@@ -264,10 +210,6 @@ def test_mirroring_left_and_right_swaps_l_and_r_and_leaves_u_and_b():
         assert np.count_nonzero(plain.side == side) == np.count_nonzero(mirrored.side == side)
 
 
-def test_an_object_before_the_open_sky_has_no_edges():
-    assert len(edges_of(Lidar().scan(SIGN, Pole(10, -3, 0.15)), ground_height_m=0, min_neighbours=0)) == 0
-
-
 def test_a_missing_return_makes_no_edge_but_one_lost_beam_does_not_hide_one():
     cloud = Lidar().scan(POLE, WALL)
     azimuth = np.degrees(np.arctan2(cloud.xyz[:, 1], cloud.xyz[:, 0]))
@@ -276,13 +218,6 @@ def test_a_missing_return_makes_no_edge_but_one_lost_beam_does_not_hide_one():
     assert np.unique(edges_of(cloud.select(~gone)).side).tolist() == [Side.RIGHT]
     gone = (azimuth > edge) & (azimuth < edge + 0.18)
     assert np.unique(edges_of(cloud.select(~gone)).side).tolist() == [Side.LEFT, Side.RIGHT]
-
-
-def test_points_in_no_order_without_rings_are_refused_with_the_way_out():
-    cloud = Lidar(step_deg=0.72, lift_m=0.2).scan(*random_scene(5), ring=False)
-    shuffled = cloud.select(np.random.default_rng(0).permutation(len(cloud)))
-    with pytest.raises(InputError, match=r"rings of the cloud are not observable.*ring.*Cloud\.ring.*range-view"):
-        edges_of(shuffled, without_rings="refuse")
 
 
 def test_points_firing_by_firing_without_rings_have_the_edges_of_their_rings_where_beams_start_beside_the_origin():
@@ -294,40 +229,18 @@ def test_points_firing_by_firing_without_rings_have_the_edges_of_their_rings_whe
     np.testing.assert_array_equal(own, as_rows(edges_of(cloud)))
 
 
-@pytest.mark.parametrize("elevations", [VLP16, HDL32, OS128], ids=["16", "32", "128"])
-def test_beams_that_cross_in_the_origin_tell_their_rings_by_elevation_in_any_order(elevations):
-    """To the millimetre, as files hold it."""
-    cloud = Lidar(elevations, step_deg=0.72).scan(*random_scene(5))
-    wanted = as_rows(edges_of(cloud, without_rings="refuse"))
-    order = np.random.default_rng(0).permutation(len(cloud))
-    shuffled = Cloud(np.round(cloud.xyz[order], 3))
-    told = as_rows(edges_of(shuffled, without_rings="refuse"))
-    assert abs(len(told) - len(wanted)) <= 0.01 * len(wanted)
-    np.testing.assert_allclose(as_rows(edges_of(Cloud(cloud.xyz[order]))), wanted, atol=1e-6)
+def test_points_that_do_not_tell_their_rings_are_refused_with_the_way_out():
+    cloud = Lidar(step_deg=0.72, lift_m=0.2).scan(*random_scene(5), ring=False)
+    shuffled = cloud.select(np.random.default_rng(0).permutation(len(cloud)))
+    for unknown in (shuffled, Cloud([[1.0, 2, 3]])):
+        with pytest.raises(InputError, match=r"rings of the cloud are not observable.*ring.*Cloud\.ring.*range-view"):
+            edges_of(unknown, without_rings="refuse")
 
 
-def test_two_rings_are_enough_for_left_and_right():
-    cloud = Lidar(np.array([0.5, -0.5])).scan(POLE, WALL)
-    edges = edges_of(cloud, min_neighbours=1)
-    assert np.bincount(edges.side, minlength=4).tolist() == [2, 2, 0, 0]
-
-
-@pytest.mark.parametrize("count", [1, 2, 3])
-def test_a_handful_of_points_has_no_edges(count):
-    xyz = np.array([[10.0, 0, 0], [4.0, 3, 0], [0, 0, 1.0]])[:count]
-    features = METHOD.build(RingsOptions())(Cloud(xyz, ring=np.arange(count)))
-    assert len(features.edges) == 0
-    assert features.edges.sigma_m.shape == (0,)
-
-
-def test_returns_on_the_axis_alone_give_nothing():
-    features = METHOD.build(RingsOptions())(Cloud([[0.0, 0, 3], [0, 0, -2]], ring=[0, 1]))
-    assert (len(features.edges), len(features.points)) == (0, 0)
-
-
-def test_one_point_without_ring_is_refused():
-    with pytest.raises(InputError, match="rings of the cloud are not observable"):
-        edges_of(Cloud([[1.0, 2, 3]]), without_rings="refuse")
+@pytest.mark.parametrize("xyz", [[[10.0, 0, 0]], [[10.0, 0, 0], [4, 3, 0], [0, 0, 1]], [[0.0, 0, 3], [0, 0, -2]]])
+def test_a_handful_of_points_has_no_edges(xyz):
+    features = METHOD.build(RingsOptions())(Cloud(xyz, ring=np.arange(len(xyz))))
+    assert (len(features.edges), features.edges.sigma_m.shape) == (0, (0,))
 
 
 def test_double_points_and_second_returns_change_nothing():
@@ -388,20 +301,8 @@ def test_every_option_changes_the_outcome():
         return as_rows(features.edges).tobytes() + features.points.tobytes()
 
     plain = outcome()
-    assert outcome() == plain
     same = [name for name, value in changes.items() if outcome(**{name: value}) == plain]
     assert not same
-
-
-def test_surface_points_are_an_even_subset_of_the_sweep(monkeypatch):
-    cloud = Lidar(step_deg=0.36).scan(*random_scene(8))
-    for most in (1, 1000, 10**6):
-        monkeypatch.setattr(rings, "MAX_POINTS", most)
-        points = METHOD.build(RingsOptions())(cloud).points
-        assert points.shape[1] == 3
-        assert 1 <= len(points) <= most
-        assert {tuple(p) for p in points} <= {tuple(p) for p in cloud.xyz}
-    assert len(points) == len(cloud)
 
 
 @pytest.mark.real
@@ -424,20 +325,3 @@ def test_real_sweeps_have_64_rings_and_edges_in_all_four_directions(kitti_raw):
         assert (np.bincount(features.edges.side, minlength=4) >= 100).all(), path
         assert 20_000 < len(features.points) <= 40_000
     assert whole >= 24
-
-
-@pytest.mark.parametrize(
-    ("xyz", "side", "expected"),
-    [
-        ([10.0, 0.0, 0.0], Side.LEFT, [0, 1, 0]),
-        ([10.0, 0.0, 0.0], Side.RIGHT, [0, -1, 0]),
-        ([0.0, 10.0, 0.0], Side.LEFT, [-1, 0, 0]),
-        ([10.0, 0.0, 0.0], Side.UPPER, [0, 0, 1]),
-        ([3.0, 0.0, -4.0], Side.UPPER, [0.8, 0, 0.6]),
-        ([3.0, 0.0, -4.0], Side.BOTTOM, [-0.8, 0, -0.6]),
-    ],
-)
-def test_the_background_direction_lies_across_the_view(xyz: list[float], side: Side, expected: list[float]) -> None:
-    from p2o_plugins.cloud.jumps import towards_background
-
-    np.testing.assert_allclose(towards_background(np.array([xyz]), side), [expected], atol=1e-12)

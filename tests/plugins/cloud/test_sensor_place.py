@@ -37,7 +37,7 @@ def elsewhere(cloud: Cloud, b_from_a: np.ndarray) -> Cloud:
     return replace(cloud, xyz=se3.apply(b_from_a, cloud.xyz))
 
 
-@pytest.mark.parametrize("elevations", [VLP16, HDL32, HDL64, OS128], ids=["VLP-16", "HDL-32E", "HDL-64E", "OS1-128"])
+@pytest.mark.parametrize("elevations", [VLP16, HDL64], ids=["VLP-16", "HDL-64E"])
 @pytest.mark.parametrize("car_from_sensor", FRAMES.values(), ids=FRAMES)
 def test_the_place_and_the_axis_of_the_sensor_are_found_in_any_frame(
     elevations: np.ndarray, car_from_sensor: np.ndarray
@@ -55,7 +55,7 @@ def test_a_sweep_in_its_own_frame_is_left_as_it_is(elevations: np.ndarray, lift_
     assert sensor_place(order_sweep(Lidar(elevations, step_deg=0.6, lift_m=lift_m).scan(*STREET))) is None
 
 
-@pytest.mark.parametrize("speed_mps", [5, 15, 30])
+@pytest.mark.parametrize("speed_mps", [5, 30])
 def test_motion_that_a_sweep_was_corrected_for_is_no_other_place(speed_mps: float):
     cloud = Lidar(HDL64, step_deg=0.6).scan(*STREET)
     time_s = -np.arctan2(cloud.xyz[:, 1], cloud.xyz[:, 0]) / (2 * np.pi) * 0.1

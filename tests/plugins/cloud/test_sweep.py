@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from p2o import Cloud
 from p2o.geometry.motion import moved
-from p2o_plugins.cloud.sweep import across_rings, along_ring, order_sweep
+from p2o_plugins.cloud.sweep import across_rings, order_sweep
 
 from tests.plugins.cloud.casting import GROUND, HDL32, HDL64, Box, Lidar
 
@@ -69,17 +69,6 @@ def test_correcting_a_sweep_for_motion_keeps_its_rings(elevations: np.ndarray, t
         np.testing.assert_array_equal(sweep.xyz(slice(None)), corrected.xyz[sweep.point])
 
 
-def test_neighbours_on_the_ring_undo_each_other_and_close_the_seam():
-    sweep = order_sweep(room(Lidar(HDL64, step_deg=0.5)))
-    left, right = along_ring(sweep, 0.6)
-    assert left.known.all()
-    assert right.known.all()
-    np.testing.assert_array_equal(right.row[left.row], np.arange(len(sweep)))
-    np.testing.assert_allclose(np.degrees(left.gap), 0.5, atol=1e-3)
-    np.testing.assert_array_equal(left.row[sweep.start[1:] - 1], sweep.start[:-1])
-    assert not along_ring(sweep, 0.4)[0].known.any()
-
-
 @pytest.mark.parametrize("step", [1, -1])
 def test_neighbours_across_rings_are_those_of_a_search_over_all_pairs(step):
     """Rings of different phase with gaps, so that nearest is not the same column, at the seam as well."""
@@ -101,14 +90,6 @@ def test_neighbours_across_rings_are_those_of_a_search_over_all_pairs(step):
     np.testing.assert_allclose(apart[rows, found.row[rows]], best[rows], atol=1e-6)
     np.testing.assert_allclose(np.degrees(found.gap[rows]), 0.7, atol=1e-3)
     assert not across_rings(sweep, step, 1.0, 0.5).known.any()
-
-
-def test_a_ring_without_returns_leaves_its_neighbours_without_neighbour():
-    cloud = Cloud([[10.0, 0, 1], [10, 0.1, -1]], ring=[0, 7])
-    sweep = order_sweep(cloud)
-    assert across_rings(sweep, 1, 1.0, 45.0).known.tolist() == [True, False]
-    assert across_rings(sweep, -1, 1.0, 45.0).known.tolist() == [False, True]
-    assert not across_rings(sweep, 1, 1.0, 3.0).known.any()
 
 
 def test_of_returns_of_one_ray_only_the_nearest_stays():

@@ -38,18 +38,6 @@ def test_edges_lie_half_way_to_the_background() -> None:
         assert (found.side == side).sum() == 30
 
 
-def test_half_way_is_right_on_average() -> None:
-    rng = np.random.default_rng(0)
-    errors = []
-    for left, right in zip(rng.uniform(20, 30, 100), rng.uniform(60, 70, 100), strict=True):
-        found = edges(image(board(left, right, 19.5, 49.5)))
-        errors.append(found.uv[found.side == Side.LEFT, 0].mean() - left)
-        errors.append(right - found.uv[found.side == Side.RIGHT, 0].mean())
-    assert np.abs(errors).max() <= 0.5
-    # Uniform within a pixel: the mean of 200 has a standard deviation of 0.02 px.
-    assert np.mean(errors) == pytest.approx(0, abs=0.1)
-
-
 def test_pieces_shorter_than_the_limit_are_dropped_side_by_side() -> None:
     high, low = (image(board(29.5, 59.5, 19.5, bottom)) for bottom in (24.5, 23.5))  # 30 px wide, 5 and 4 px high
     assert {Side(int(s)) for s in edges(high).side} == set(Side) - {Side.NONE}
@@ -70,11 +58,6 @@ def test_small_steps_count_only_when_asked_for() -> None:
     assert len(edges(image(depth_m), min_jump_m=0.2)) == 4 * 30
 
 
-def test_a_road_is_no_staircase_of_edges() -> None:
-    v = np.arange(80)[:, None] * np.ones(100)
-    assert len(edges(image(1.65 * 200 / (v + 5.0)))) == 0
-
-
 def test_unknown_depth_gives_no_edge() -> None:
     depth_m = board(29.5, 59.5, 19.5, 49.5)
     depth_m[:, 25:30] = np.nan  # what lies left of the board is unknown
@@ -83,23 +66,6 @@ def test_unknown_depth_gives_no_edge() -> None:
     assert len(edges(image(np.full((80, 100), np.nan)))) == 0
 
 
-def test_the_sky_is_a_background() -> None:
-    depth_m = np.where(board(29.5, 59.5, 19.5, 49.5) == 5, 5.0, np.inf)
-    assert len(edges(image(depth_m))) == 4 * 30
-
-
-def test_the_picture_itself_plays_no_part() -> None:
-    depth_m = board(29.5, 59.5, 19.5, 49.5)
-    dark, bright = edges(image(depth_m, level=0)), edges(image(depth_m, level=200))
-    np.testing.assert_array_equal(dark.uv, bright.uv)
-    assert (dark.weight == 1).all()
-
-
 def test_a_picture_without_depth_is_refused_with_a_way_out() -> None:
     with pytest.raises(InputError, match=r"^depth: the image has no depth.*--extractor"):
         edges(image(None))
-
-
-def test_the_method_says_what_it_needs_and_gives() -> None:
-    assert METHOD.gives == {"image-edges", "side"}
-    assert METHOD.needs == {"depth"}

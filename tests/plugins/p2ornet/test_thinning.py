@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from p2o import SIDES, Side
-from p2o_plugins.image.p2ornet import calibrated, long_enough
+from p2o_plugins.image.p2ornet import long_enough
 from p2o_plugins.p2ornet.thinning import Peaks, peaks, side_probabilities
 
 PAIR = {Side.LEFT: (0, 0), Side.RIGHT: (0, 1), Side.UPPER: (1, 0), Side.BOTTOM: (1, 1)}
@@ -24,33 +24,6 @@ def found(pairs: dict[tuple[Side, int, int], float], size: tuple[int, int] = (9,
     return peaks(side_probabilities(belief(*size, pairs)), low)
 
 
-def table(points: Peaks) -> np.ndarray:
-    """Return all that is known of the points (N, 6), in an order of their own."""
-    rows = np.column_stack([points.side, points.uv, points.pixel, points.score])
-    return rows[np.lexsort(np.round(rows, 6).T)]
-
-
-@pytest.mark.parametrize(
-    ("side", "uv", "pixel"),
-    [
-        (Side.LEFT, (5.5, 4), (6, 4)),
-        (Side.RIGHT, (5.5, 4), (5, 4)),
-        (Side.UPPER, (5, 4.5), (5, 5)),
-        (Side.BOTTOM, (5, 4.5), (5, 4)),
-    ],
-)
-def test_a_certain_pair_is_one_edge_between_its_pixels(
-    side: Side, uv: tuple[float, ...], pixel: tuple[int, ...]
-) -> None:
-    edge = found({(side, 4, 5): 1.0})
-    assert edge.side.tolist() == [side]
-    np.testing.assert_allclose(edge.uv, [uv])
-    np.testing.assert_array_equal(edge.pixel, [pixel])
-    assert edge.score == pytest.approx([1.0])
-    # The background lies from the foreground pixel through the edge.
-    np.testing.assert_allclose((edge.uv - edge.pixel)[0], 0.5 * np.array(side.background))
-
-
 @pytest.mark.parametrize("side", SIDES)
 def test_belief_spread_over_two_pairs_is_one_edge_at_their_mean_with_their_sum(side: Side) -> None:
     along = side in (Side.LEFT, Side.RIGHT)
@@ -58,16 +31,6 @@ def test_belief_spread_over_two_pairs_is_one_edge_at_their_mean_with_their_sum(s
     assert edge.score == pytest.approx([0.7])
     place = (5.5 if along else 4.5) + 3 / 7
     assert edge.uv[0, 0 if along else 1] == pytest.approx(place)
-
-
-def test_a_score_is_never_above_one() -> None:
-    assert found({(Side.LEFT, 4, 5): 0.9, (Side.LEFT, 4, 6): 0.8}).score == pytest.approx([1.0])
-
-
-def test_two_edges_five_pixels_apart_stay_two() -> None:
-    edge = found({(Side.RIGHT, 4, 3): 0.8, (Side.RIGHT, 4, 8): 0.6})
-    np.testing.assert_allclose(edge.uv, [[3.5, 4], [8.5, 4]])
-    assert edge.score == pytest.approx([0.8, 0.6])
 
 
 def test_a_pole_one_pixel_wide_has_both_its_sides_on_the_same_pixel() -> None:
@@ -100,47 +63,6 @@ def test_pairs_at_the_border_are_edges_and_pairs_that_leave_the_image_are_not() 
         assert first.uv.min() == 0.5
 
 
-def _random_maps(seed: int) -> np.ndarray:
-    """Return maps (4, 20, 25) full of sharp and of blurred maxima, in the interior and at the border."""
-    maps = np.random.default_rng(seed).random((4, 20, 25)) ** 6
-    maps[:2, :, -1] = 0
-    maps[2:, -1] = 0
-    return maps
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_the_mirrored_belief_gives_the_mirrored_edges(seed: int) -> None:
-    maps = _random_maps(seed)
-    flipped = np.zeros_like(maps)
-    for side in (Side.LEFT, Side.RIGHT):
-        flipped[side.mirrored, :, :-1] = maps[side, :, -2::-1]
-    flipped[2:] = maps[2:, :, ::-1]
-    direct, mirrored = peaks(maps, 0.3), peaks(flipped, 0.3)
-    assert len(direct.uv) > 50
-    side = np.array([Side(int(s)).mirrored for s in mirrored.side])
-    last = np.array([24, 0])
-    sign = np.array([-1, 1])
-    back = Peaks(last + sign * mirrored.uv, side, mirrored.score, last + sign * mirrored.pixel)
-    np.testing.assert_allclose(table(back), table(direct), atol=1e-9)
-
-
-def test_rows_and_columns_are_treated_alike() -> None:
-    maps = _random_maps(7)
-    turned = np.zeros((4, 25, 20))
-    for here, there in ((0, 2), (1, 3), (2, 0), (3, 1)):
-        turned[there] = maps[here].T
-    direct, other = peaks(maps, 0.3), peaks(turned, 0.3)
-    back = Peaks(other.uv[:, ::-1], (other.side + 2) % 4, other.score, other.pixel[:, ::-1])
-    np.testing.assert_allclose(table(back), table(direct), atol=1e-9)
-
-
-def test_the_edge_lies_within_reach_of_its_foreground_pixel() -> None:
-    edge = peaks(_random_maps(11), 0.1)
-    toward = np.array([Side(int(s)).background for s in edge.side])
-    assert (np.abs(((edge.uv - edge.pixel) * toward).sum(axis=1) - 0.5) <= 2).all()
-    assert (((edge.uv - edge.pixel) * (1 - np.abs(toward))) == 0).all()
-
-
 # ---- what is kept of them
 
 
@@ -155,15 +77,6 @@ def test_lines_shorter_than_asked_for_are_dropped_side_by_side() -> None:
     # A line is of one side: alternating ones are pieces of one pixel.
     assert not long_enough(straight.astype(float), np.arange(5, dtype=np.int8) % 2, (10, 20), 2).any()
     assert long_enough(np.zeros((0, 2)), np.zeros(0, np.int8), (10, 20), 5).shape == (0,)
-
-
-def test_calibration_of_one_and_nothing_changes_nothing_and_others_keep_the_order() -> None:
-    score = np.linspace(0.01, 0.99, 30)
-    np.testing.assert_allclose(calibrated(score, 1.0, 0.0), score, atol=1e-9)
-    other = calibrated(np.linspace(0, 1, 30), 0.7, -0.5)
-    assert (np.diff(other) > 0).all()
-    assert other.min() >= 0
-    assert other.max() <= 1
 
 
 def test_an_even_background_has_no_edges_not_even_at_the_border() -> None:

@@ -69,6 +69,13 @@ def rows(problem: PointToLine, order: np.ndarray) -> PointToLine:
     return replace(problem, **{name: getattr(problem, name)[order] for name in names})
 
 
+def off(poses: np.ndarray) -> np.ndarray:
+    """Return how far poses (B, 4, 4) are from TRUTH, (B, 6): radians (of small turns) and metres."""
+    turn = poses[:, :3, :3] @ TRUTH[:3, :3].T
+    axis = np.stack([turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1]], 1)
+    return np.concatenate([axis / 2, poses[:, :3, 3] - TRUTH[:3, 3]], axis=1)
+
+
 def apart(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
     """Return angle in degrees and distance in metres between two poses."""
     difference = se3.inverse(a) @ b

@@ -97,9 +97,6 @@ def test_points_on_a_line_in_space_leave_the_start() -> None:
     assert (solution.camera_from_lidar == NEAR).all()
 
 
-def test_a_seed_repeats_to_the_bit_and_what_is_no_pairs_is_refused() -> None:
-    problem = points(pairs(), noise_px=1.0)
-    a, b = (solved(problem, seed=3).camera_from_lidar for _ in range(2))
-    assert (a == b).all()
+def test_what_is_no_pairs_is_refused() -> None:
     with pytest.raises(InputError, match="solver pnp needs pairs"):
-        solved(problem.as_objective())
+        solved(pairs().as_objective())
