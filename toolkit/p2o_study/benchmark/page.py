@@ -10,7 +10,6 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from p2o.errors import P2OError
 from p2o.files.whole_file import write_whole
 from p2o.host.registry import Registry
@@ -25,9 +24,10 @@ from p2o_study.benchmark.suite import Suite
 from p2o_study.benchmark.tables import NOTE
 from p2o_study.compare import family_of
 from p2o_study.curves import frames_of, method_names, start_error_of
-from p2o_study.row import NORMS, Method, Row
+from p2o_study.report.worst import error_rank
+from p2o_study.row import NORMS, Method
 from p2o_study.rows import Rows
-from p2o_study.statistics import WRONG, Statistics, top_groups
+from p2o_study.statistics import Statistics, top_groups
 from p2o_study.study import DatasetTable
 from p2o_study.tables import FIGURES, RUN_COLUMNS, STATISTICS, error_cell, name_of, unit_of, with_unit
 
@@ -60,15 +60,12 @@ def line_columns() -> list[Column]:
         name, (unit, _, digits) = name_of(norm), unit_of(norm)
         mean, median = (partial(error_cell, metric=norm, statistic=statistic) for statistic in STATISTICS)
         columns += [
-            Column(f"{name} group", hide=2, looks={"1": "good"}, of=lambda line, norm=norm: line.top_group[norm]),
+            Column(f"{name} group", hide=2, looks={"1": "good"}, of=partial(_top_group, norm=norm)),
             Column(f"{name} mean", unit, digits, hide=0, of=mean),
             Column(f"{name} median", unit, digits, hide=3, of=median),
         ]
         solved.append(Column(f"{name} of solved [{unit}]", off=True, of=partial(_solved, norm=norm)))
-        start = partial(start_error_of, norm=norm)
-        starts.append(
-            Column(_STARTS[norm], norm.rpartition("_")[2], off=True, of=lambda line, start=start: brief(start(line)))
-        )
+        starts.append(Column(_STARTS[norm], norm.rpartition("_")[2], off=True, of=partial(_start, norm=norm)))
     figures = {figure.name: figure.column for figure in FIGURES}
     renamed = {"runs": "n", "frames": "distinct frames", "groups": "independent groups"}
     return [
@@ -96,7 +93,15 @@ _FIGURES = (
 )
 
 
-def _solved(line: Statistics, norm: str) -> Any:
+def _top_group(line: _Line, norm: str) -> int | None:
+    return line.top_group[norm]
+
+
+def _start(line: _Line, norm: str) -> float | None:
+    return brief(start_error_of(line, norm))
+
+
+def _solved(line: _Line, norm: str) -> Any:
     mean, (_, factor, digits) = line.solved_only.mean(norm), unit_of(norm)
     return None if mean is None else cell(brief(factor * mean.value), html.number_text(factor * mean.value, digits))
 
@@ -128,7 +133,7 @@ class _Line(Statistics):
     data_title: str = ""
     family: str = ""
     needs: Sequence[str] = ()
-    top_group: Mapping[str, int | None] = field(default_factory=dict)
+    top_group: dict[str, int | None] = field(default_factory=dict)
 
     @property
     def method(self) -> Method:
@@ -252,7 +257,7 @@ def _card(shared: html.Shared, title: str, card: Card) -> Block:
 
 def _runs(line: _Line, shared: html.Shared) -> Block:
     """Return the runs of a row, those with the largest errors first."""
-    rows = sorted(line.rows, key=_error_size, reverse=True)
+    rows = sorted(line.rows, key=error_rank, reverse=True)
     table = html.table(
         shared.use(html.columns_of(RUN_COLUMNS)),
         [html.cells(RUN_COLUMNS, row) for row in rows],
@@ -306,12 +311,6 @@ def _plots(norm: str) -> Block:
         for name, ((column, axis), words) in zip(names, figures.items(), strict=True)
     ]
     return plot_of_table("rows", panels)
-
-
-def _error_size(row: Row) -> float:
-    """Return the size of the error of a run; runs without an error come first."""
-    error = row.error
-    return np.inf if error is None else error.rotation_deg / WRONG.angle_deg + error.translation_m / WRONG.distance_m
 
 
 def _compared(
