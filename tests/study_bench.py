@@ -6,14 +6,17 @@ import json
 import os
 import subprocess
 import sys
+import time
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from p2o.cache import FeatureCache
 from p2o_study.ablate import Ablation, ablate
 from p2o_study.parallel import Workers
 from p2o_study.row import Row, rounded_pose
+from p2o_study.rows import Rows
 from p2o_study.study import parse_study
 from p2o_study.worker import Plugins
 
@@ -55,22 +58,37 @@ class Bench:
         self.calls_file.unlink(missing_ok=True)
         return Counter(line.split()[0] for line in lines)
 
-    def cli(self, text: str, *words: str, out: str = "out") -> subprocess.CompletedProcess[str]:
-        file = self.root / "study.toml"
-        file.write_text(text)
-        command = [
-            sys.executable,
-            "-m",
-            "p2o",
-            "ablate",
-            str(file),
-            "--plugin",
-            str(PLUGIN),
-            "--out",
-            str(self.root / out),
-        ]
-        environ = {**os.environ, "P2O_CACHE": str(self.root)}
-        return subprocess.run([*command, *words], capture_output=True, text=True, check=False, env=environ)
+    def words(self, text: str, *words: str, out: str = "out") -> list[str]:
+        """Return the words of the command that runs a study, whose file is written."""
+        (self.root / "study.toml").write_text(text)
+        file, folder = str(self.root / "study.toml"), str(self.root / out)
+        return ["ablate", file, "--plugin", str(PLUGIN), "--out", folder, *words]
+
+    def cli(self, text: str, *words: str, **options: Any) -> subprocess.CompletedProcess[str]:
+        """Run the command in a process of its own."""
+        environ = {**os.environ, "P2O_CACHE": str(self.root / "cache")}
+        command = [sys.executable, "-m", "p2o", *self.words(text, *words)]
+        return subprocess.run(command, capture_output=True, text=True, check=False, env=environ, **options)
+
+    def started(self, text: str, rows: int, *words: str) -> subprocess.Popen[str]:
+        """Start the command in a session of its own, and return when this number of rows is there."""
+        process = subprocess.Popen(
+            [sys.executable, "-m", "p2o", *self.words(text, "--quiet", *words)],
+            env={**os.environ, "P2O_CACHE": str(self.root / "cache")},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+        until = time.monotonic() + 120
+        while process.poll() is None and time.monotonic() < until and len(self.keys()) < rows:
+            time.sleep(0.05)
+        assert process.poll() is None, process.communicate()[1]
+        return process
+
+    def keys(self) -> list[str]:
+        """Return the keys of the rows, to which another process may write."""
+        return [row.key for row in Rows(self.root / "out").each("tiny")]
 
 
 def bits(rows: Sequence[Row]) -> list[tuple[object, ...]]:

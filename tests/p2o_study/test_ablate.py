@@ -7,19 +7,17 @@ import multiprocessing
 import os
 import random
 import re
-import signal
 import sys
 import time
 from collections import Counter
 from collections.abc import Callable
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import p2o
 import pytest
-from p2o import InputError, MethodUnavailable, P2OError, se3
+from p2o import InputError, MethodUnavailable, se3
 from p2o.cli import main
 from p2o_study import parallel, worker
 from p2o_study.ablate import parse_seeds
@@ -29,7 +27,7 @@ from p2o_study.study import Published, RowTable, Study, check_study, parse_study
 from p2o_study.summary import summary_of_stored
 from p2o_study.worker import Plugins
 
-from tests.study_bench import HEAD, PLUGIN, QUICK, STAGED, TRUSTED, Bench, bits
+from tests.study_bench import HEAD, QUICK, STAGED, TRUSTED, Bench, bits
 
 
 def test_features_are_extracted_once_for_all_seeds_matchers_solvers_and_studies(bench: Bench) -> None:
@@ -268,17 +266,6 @@ def test_a_study_outlives_a_worker_that_is_killed(bench: Bench) -> None:
 
 
 @pytest.mark.system
-def test_a_job_that_kills_every_worker_is_a_row_that_says_so_and_the_others_are_computed(bench: Bench) -> None:
-    done = bench.run(QUICK + 'options.calibrator.die_on = "tiny/001"\n', jobs=2)
-    crashed = [row for row in done.rows if row.crashed]
-    assert [row.frames for row in crashed] == [("tiny/001",)] * 2
-    assert all("the worker process died in each of 3 attempts" in row.reason for row in crashed)
-    assert "SIGKILL" in crashed[0].reason
-    assert [row.solved for row in done.rows if row not in crashed] == [True] * 4
-    assert done.missing == []
-
-
-@pytest.mark.system
 def test_a_frame_whose_reader_is_killed_is_a_row_that_says_so(bench: Bench) -> None:
     done = bench.run(HEAD.replace("frames = 3", "frames = 3, deadly = 1") + '[[row]]\nlabel = "a"\n', jobs=2)
     assert [row.frames for row in done.rows if row.crashed] == [("tiny/001",)] * 2
@@ -286,54 +273,19 @@ def test_a_frame_whose_reader_is_killed_is_a_row_that_says_so(bench: Bench) -> N
     assert sum(row.solved for row in done.rows) == 4
 
 
-def _gone_twice(job: int) -> int:
-    """Return the job; the third one dies for good, the fifth only beside others."""
-    if job == 3 or (job == 5 and not Path(os.environ["TINY_CALLS"]).exists()):
-        Path(os.environ["TINY_CALLS"]).touch()
-        time.sleep(0.2)
-        os.kill(os.getpid(), signal.SIGKILL)
-    return job
-
-
-@pytest.mark.system
-def test_every_job_gives_one_answer_though_workers_die(bench: Bench) -> None:
-    with Workers(3).start() as run:
-        found = list(run(_gone_twice, iter(range(20)), lambda job, problem: (job, type(problem))))
-    assert sorted(found, key=lambda entry: entry if isinstance(entry, int) else entry[0]) == [
-        *range(3),
-        (3, P2OError),
-        *range(4, 20),
-    ]
-
-
-def _asleep(job: float) -> float:
-    """Return the job, which lasts so many seconds."""
-    time.sleep(job)
-    return job
-
-
-def _batches_of(jobs: list[float]) -> list[list[float]]:
-    """Return the jobs that came back together, in the order in which they came."""
-    sizes: list[int] = []
-    told = parallel._Batches.results_of
-
-    def noted(batches: parallel._Batches, took_s: float, results: list[tuple[int, Any]]) -> list[tuple[int, Any]]:
-        sizes.append(len(results))
-        return told(batches, took_s, results)
-
-    with pytest.MonkeyPatch.context() as patch, Workers(2).start() as run:
-        patch.setattr(parallel._Batches, "results_of", noted)
-        done = list(run(_asleep, iter(jobs), lambda job, problem: job))
-    return [[done.pop(0) for _ in range(size)] for size in sizes]
-
-
-@pytest.mark.system
 def test_short_jobs_go_to_a_worker_several_at_once_and_long_ones_alone() -> None:
-    short = _batches_of([0.001 + n / 1e6 for n in range(300)])
-    assert sum(map(len, short)) == 300
-    assert max(map(len, short)) > 10
-    assert all(batch == sorted(batch) for batch in short), "jobs that follow each other stay together"
-    assert [len(batch) for batch in _batches_of([0.7] * 5)] == [1] * 5
+    """(duration of a batch, its jobs): jobs of the next one, which is at most twice as large, and at most 64."""
+    sizes = {
+        (0.001, 1): 2,
+        (0.01, 20): 40,
+        (0.01, 60): 64,
+        (0.5, 8): 16,
+        (1.0, 8): 8,
+        (4.0, 8): 2,
+        (0.7, 1): 1,
+        (90, 8): 1,
+    }
+    assert {known: parallel._batch_size(*known) for known in sizes} == sizes
 
 
 @pytest.mark.system
@@ -341,8 +293,11 @@ def test_of_a_batch_whose_worker_dies_the_other_jobs_are_done(bench: Bench) -> N
     """Which of them it was nobody knows: each answers for itself."""
     head = QUICK.replace("frames = 3", "frames = 40")
     done = bench.run(head + 'options.calibrator.die_on = "tiny/035"\n', jobs=2)
-    assert {row.frames for row in done.rows if row.crashed} == {("tiny/035",)}
-    assert sum(row.solved for row in done.rows) == 78
+    crashed = [row for row in done.rows if row.crashed]
+    assert [row.frames for row in crashed] == [("tiny/035",)] * 2
+    assert all("the worker process died in each of 3 attempts" in row.reason for row in crashed)
+    assert "SIGKILL" in crashed[0].reason
+    assert (sum(row.solved for row in done.rows), done.missing) == (78, [])
 
 
 def test_more_calibrations_than_anyone_can_wait_for_are_refused_before_a_frame_is_read(bench: Bench) -> None:
@@ -366,10 +321,7 @@ def test_more_are_computed_where_they_are_confirmed(bench: Bench, monkeypatch: p
     found = bench.run(QUICK, at_most=6)
     assert bits(found.rows) == bits(expected.rows)
     assert (len(found.rows), len(found.missing)) == (6, 0)
-    file = bench.root / "s.toml"
-    file.write_text(QUICK)
-    words = ["ablate", str(file), "--plugin", str(PLUGIN), "--out", str(bench.root / "out"), "--quiet"]
-    words += ["--jobs", "1", "--no-isolate"]
+    words = bench.words(QUICK, "--quiet", "--jobs", "1", "--no-isolate")
     assert main(words) == 2
     assert main([*words, "--at-most", "6"]) == 0
 
@@ -522,11 +474,8 @@ def test_two_processes_share_one_study_without_harm(bench: Bench) -> None:
 
 def test_the_command_prints_what_is_measured_beside_what_is_published(bench: Bench, capsys, monkeypatch) -> None:
     monkeypatch.setenv("P2O_CACHE", str(bench.root))
-    file = bench.root / "s.toml"
     published = '[[published]]\nlabel = "RGGNet"\nsource = "2020"\nbeside = "quick"\nvalues = { rotation_deg = 1.18 }\n'
-    file.write_text(QUICK + published)
-    words = ["ablate", str(file), "--plugin", str(PLUGIN), "--out", str(bench.root / "out")]
-    words += ["--jobs", "1", "--no-isolate"]
+    words = bench.words(QUICK + published, "--jobs", "1", "--no-isolate")
     assert main([*words, "--frames", "0,1", "--seeds", "3"]) == 0
     out, err = capsys.readouterr()
     lines = out.splitlines()
@@ -543,11 +492,9 @@ def test_the_command_prints_what_is_measured_beside_what_is_published(bench: Ben
     assert "6 rows computed" in err
     assert main([*words, "--quiet", "--frames", "0,1", "--seeds", "3"]) == 0
     assert capsys.readouterr().err == ""
-    file.write_text(QUICK + 'options.calibrator.fail_on = "tiny/001"\n')
-    assert main(words) == 1
+    assert main(bench.words(QUICK + 'options.calibrator.fail_on = "tiny/001"\n', *words[6:])) == 1
     assert "2 (2 crashed)" in capsys.readouterr().out
-    file.write_text(QUICK + "options.calibrator.interrupt_after = 2\n")
-    assert main(words) == 130
+    assert main(bench.words(QUICK + "options.calibrator.interrupt_after = 2\n", *words[6:])) == 130
     assert "the same command continues" in capsys.readouterr().err
 
 
@@ -618,10 +565,8 @@ def test_datasets_that_are_left_out_are_told_and_the_others_run(
     assert {row.row for row in done.rows} == {"quick @ tiny"}
     assert told == ["datasets without a path are left out: more (--root DIR or --data NAME=DATASET:PATH)"]
     monkeypatch.setenv("P2O_CACHE", str(bench.root))
-    file = bench.root / "s.toml"
-    file.write_text(text)
-    words = ["ablate", str(file), "--plugin", str(PLUGIN), "--out", str(bench.root / "shell"), "--jobs", "1"]
-    assert main([*words, "--no-isolate", "--frames", "tiny=0", "--seeds", "1"]) == 0
+    words = bench.words(text, "--jobs", "1", "--no-isolate", out="shell")
+    assert main([*words, "--frames", "tiny=0", "--seeds", "1"]) == 0
     assert "datasets without a path are left out: more" in capsys.readouterr().err
     rows = Rows(bench.root / "shell")
     assert [row.frames for row in rows.planned("tiny")] == [("tiny/000",)]
@@ -649,10 +594,8 @@ def test_velocity_and_camera_of_a_frame_are_known_to_whoever_calibrates_its_feat
 
 
 def test_the_command_writes_a_report_with_the_chosen_columns(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
-    file = bench.root / "study.toml"
-    file.write_text(QUICK + 'joint = 2\n[[row]]\nlabel = "quick alone"\ncalibrator = "quick"\nwitness = "none"\n')
-    out = bench.root / "out"
-    words = ["ablate", str(file), "--plugin", str(PLUGIN), "--out", str(out), "--jobs", "1", "--no-isolate", "--quiet"]
+    text = QUICK + 'joint = 2\n[[row]]\nlabel = "quick alone"\ncalibrator = "quick"\nwitness = "none"\n'
+    words, out = bench.words(text, "--jobs", "1", "--no-isolate", "--quiet"), bench.root / "out"
     assert main([*words, "--report", "--columns", "rotation meen"]) == 2
     assert "--columns: unknown column 'rotation meen'" in capsys.readouterr().err
     assert bench.calls()["quick"] == 0, "refused before any work"

@@ -70,16 +70,6 @@ def test_a_suite_that_compares_unfairly_or_is_wrong_is_refused(
     assert message in capsys.readouterr().err
 
 
-def test_rows_of_a_suite_have_the_same_initial_guesses(board: Board) -> None:
-    by_label: dict[str, dict[tuple[str, int], bytes]] = {}
-    for known in board.measured():
-        starts = by_label.setdefault(known.row, {})
-        starts[known.frames[0], known.seed] = np.asarray(known.start).tobytes()
-    assert set(by_label) == {"quick", "nearest"}
-    assert by_label["quick"] == by_label["nearest"]
-    assert len(set(by_label["quick"].values())) == 15
-
-
 # ---- run and status
 
 
@@ -100,16 +90,6 @@ def test_a_suite_is_measured_once_and_its_rows_state_how(board: Board, capsys: p
     assert board.outdated(capsys) == []
     assert board.measured() == []
     assert board.calls()["quick"] == 0
-
-
-def test_only_what_is_missing_is_computed_and_the_rest_kept(board: Board) -> None:
-    rows = board.measured()
-    kept = [known for known in rows if not (known.row == "quick" and known.seed in (1, 3))]
-    board.results.rewrite("tiny", kept)
-    board.calls()
-    again = board.measured()
-    assert {(known.row, known.seed) for known in again} == {("quick", 1), ("quick", 3)}
-    assert board.calls()["quick"] == 6
 
 
 def test_a_calibration_that_another_suite_has_measured_is_not_computed_again(

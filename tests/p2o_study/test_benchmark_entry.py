@@ -53,6 +53,7 @@ def test_the_initial_guesses_are_those_of_the_measured_rows(board: Board, poses:
         (line["frames"], int(line["seed"])): [float(line[f"m{i}{j}"]) for i in range(4) for j in range(4)]
         for line in lines
     }
+    assert len({tuple(start) for start in written.values()}) == 15
     for row in board.measured():
         assert np.allclose(np.ravel(row.start), written[row.frames[0], row.seed], rtol=0, atol=1e-9)
 

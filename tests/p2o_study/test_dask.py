@@ -9,14 +9,12 @@ import socket
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from p2o_study.rows import Rows
 
-from tests.study_bench import PLUGIN, QUICK, Bench
+from tests.study_bench import QUICK, Bench
 
 pytestmark = [
     pytest.mark.system,
@@ -28,25 +26,8 @@ SEEDS = 100
 
 def _started(bench: Bench, *words: str) -> subprocess.Popen[str]:
     """Start a study on dask and return when some of its rows are stored."""
-    file = bench.root / "s.toml"
-    file.write_text(QUICK.replace("seeds = 2", f"seeds = {SEEDS}") + "options.calibrator.sleep_s = 0.05\n")
-    process = subprocess.Popen(
-        [sys.executable, "-m", "p2o", "ablate", str(file), "--plugin", str(PLUGIN), "--out", str(bench.root / "out")]
-        + ["--quiet", "--backend", "dask", "--jobs", "2", *words],
-        env={**os.environ, "P2O_CACHE": str(bench.root / "cache")},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    until = time.monotonic() + 120
-    while process.poll() is None and time.monotonic() < until and _rows(bench) < 5:
-        time.sleep(0.05)
-    assert process.poll() is None, process.communicate()[1]
-    return process
-
-
-def _rows(bench: Bench) -> int:
-    return len(list(Rows(bench.root / "out").each("tiny")))
+    text = QUICK.replace("seeds = 2", f"seeds = {SEEDS}") + "options.calibrator.sleep_s = 0.05\n"
+    return bench.started(text, 5, "--backend", "dask", "--jobs", "2", *words)
 
 
 def _workers_of(process: subprocess.Popen[str]) -> list[int]:
@@ -69,7 +50,7 @@ def test_killed_workers_cost_no_row_and_no_line(bench: Bench, count: int) -> Non
         os.kill(pid, 9)
     _, error = process.communicate(timeout=300)
     assert (process.returncode, error) == (0, "")
-    assert _rows(bench) == 3 * SEEDS
+    assert len(bench.keys()) == 3 * SEEDS
 
 
 @pytest.mark.parametrize("jobs", ["1", "2"])
@@ -144,7 +125,7 @@ def cluster(tmp_path: Path) -> Iterator[_Cluster]:
 @pytest.mark.parametrize("case", ["the scheduler is killed", "the connection is cut", "all workers are killed"])
 def test_a_lost_cluster_is_one_line_that_states_the_next_step(bench: Bench, cluster: _Cluster, case: str) -> None:
     process = _started(bench, "--address", cluster.address)
-    before = _rows(bench)
+    before = len(bench.keys())
     if case == "the scheduler is killed":
         cluster.scheduler.kill()
     elif case == "the connection is cut":
@@ -156,8 +137,8 @@ def test_a_lost_cluster_is_one_line_that_states_the_next_step(bench: Bench, clus
     assert process.returncode == 2, error
     assert error.count("\n") == 2, error
     kept, line = error.splitlines()
-    assert kept.startswith(f"p2o: {_rows(bench)} rows are kept in ")
-    assert _rows(bench) >= before
+    assert kept.startswith(f"p2o: {len(bench.keys())} rows are kept in ")
+    assert len(bench.keys()) >= before
     assert out.startswith("Tiny\n"), "the table of the kept rows"
     assert line.startswith(f"p2o: error: {cluster.address}: the workers of --backend dask were lost; ")
     assert line.endswith("start scheduler and workers again, then run the same command")

@@ -7,7 +7,6 @@ import re
 import resource
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,7 +19,7 @@ from p2o_study import worker
 from p2o_study.row import Row
 from p2o_study.rows import Rows
 
-from tests.study_bench import HEAD, PLUGIN, QUICK, Bench, bits
+from tests.study_bench import HEAD, QUICK, Bench, bits
 
 ONE = HEAD + '[[row]]\nlabel = "a"\n'
 
@@ -82,9 +81,7 @@ def test_the_command_warns_in_one_line_though_it_is_quiet(
 ) -> None:
     (bench.root / "file").write_text("")
     monkeypatch.setenv("P2O_CACHE", str(bench.root / "file" / "cache"))
-    (bench.root / "s.toml").write_text(ONE)
-    words = ["ablate", str(bench.root / "s.toml"), "--plugin", str(PLUGIN), "--out", str(bench.root / "out")]
-    assert main([*words, "--jobs", "1", "--quiet"]) == 0
+    assert main(bench.words(ONE, "--jobs", "1", "--quiet")) == 0
     [line] = capsys.readouterr().err.splitlines()
     assert line.startswith("p2o: warning: ")
 
@@ -98,34 +95,21 @@ def test_a_users_folder_that_cannot_be_written_is_no_end_of_a_study(
     monkeypatch.chdir(bench.root)
     monkeypatch.delenv("P2O_CACHE", raising=False)
     monkeypatch.setenv(variable, value)
-    (bench.root / "s.toml").write_text(QUICK)
-    words = ["ablate", "s.toml", "--plugin", str(PLUGIN), "--out", "out", "--jobs", "1", "--quiet"]
-    assert main(words) == 0
+    assert main(bench.words(QUICK, "--jobs", "1", "--quiet")) == 0
 
 
 def test_a_home_that_is_nobodys_is_told(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (bench.root / "s.toml").write_text(QUICK)
-    words = ["ablate", str(bench.root / "s.toml"), "--plugin", str(PLUGIN), "--jobs", "1", "--quiet"]
+    words = bench.words(QUICK, "--jobs", "1", "--quiet")
     monkeypatch.setenv("P2O_CACHE", "~nosuch/cache")
-    assert main([*words, "--out", str(bench.root / "out")]) == 2
+    assert main(words) == 2
     assert "the home folder of an unknown user" in capsys.readouterr().err
     monkeypatch.setenv("P2O_CACHE", str(bench.root / "cache"))
     assert main([*words, "--out", "~nosuch/out"]) == 2
     assert "~nosuch/out" in capsys.readouterr().err
     assert main(["report", "~nosuch/out"]) == 2
     assert "the home folder of an unknown user" in capsys.readouterr().err
-
-
-def test_an_out_that_is_a_file_is_told(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
-    (bench.root / "s.toml").write_text(QUICK)
-    (bench.root / "file").write_text("")
-    words = ["ablate", str(bench.root / "s.toml"), "--plugin", str(PLUGIN), "--jobs", "1", "--quiet", "--out"]
-    for out in ("file", "file/below"):
-        assert main([*words, str(bench.root / out)]) == 2
-        [line] = capsys.readouterr().err.splitlines()
-        assert str(bench.root / "file") in line
 
 
 # ---- features of somebody else under the key of ours
@@ -174,16 +158,12 @@ def test_a_disk_that_is_full_ends_the_study_and_keeps_its_rows(bench: Bench, mon
 def test_a_full_disk_is_one_line_and_exit_2(bench: Bench) -> None:
     """A limit on the size of files is the only full disk that anyone can make."""
     text = QUICK.replace("seeds = 2", "seeds = 60")
-    (bench.root / "s.toml").write_text(text)
-    command = [sys.executable, "-m", "p2o", "ablate", str(bench.root / "s.toml"), "--plugin", str(PLUGIN)]
-    command += ["--out", str(bench.root / "out"), "--jobs", "1", "--quiet"]
 
     def small() -> None:
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (25_000, 25_000))
 
-    environ = {**os.environ, "P2O_CACHE": str(bench.root / "cache"), "PYTHONDONTWRITEBYTECODE": "1"}
-    full = subprocess.run(command, capture_output=True, text=True, check=False, env=environ, preexec_fn=small)
+    full = bench.cli(text, "--jobs", "1", "--quiet", preexec_fn=small)
     assert full.returncode == 2, full.stderr
     line = full.stderr.splitlines()[-1]
     assert line.startswith(f"p2o: error: {bench.root / 'out' / 'tiny.jsonl'}: the results cannot be written")
@@ -195,15 +175,10 @@ def test_a_full_disk_is_one_line_and_exit_2(bench: Bench) -> None:
 
 @pytest.mark.parametrize("limit", [12, 14])
 def test_too_few_open_files_are_one_line_that_names_the_limit_and_the_next_step(bench: Bench, limit: int) -> None:
-    (bench.root / "s.toml").write_text(QUICK)
-    command = [sys.executable, "-m", "p2o", "ablate", str(bench.root / "s.toml"), "--plugin", str(PLUGIN)]
-    command += ["--out", str(bench.root / "out"), "--jobs", "2", "--quiet"]
-    environ = {**os.environ, "P2O_CACHE": str(bench.root / "cache")}
-
     def few() -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (limit, limit))
 
-    ended = subprocess.run(command, capture_output=True, text=True, check=False, env=environ, preexec_fn=few)
+    ended = bench.cli(QUICK, "--jobs", "2", "--quiet", preexec_fn=few)
     assert ended.returncode == 2, ended.stderr
     [line] = [line for line in ended.stderr.splitlines() if not line.startswith("p2o: 0 rows")]
     assert line.startswith("p2o: error: ")
@@ -228,29 +203,7 @@ def started(bench: Bench) -> Iterator[tuple[Bench, list[subprocess.Popen[str]]]]
         process.communicate()
 
 
-def start(bench: Bench, *words: str) -> subprocess.Popen[str]:
-    """Start a study in a session of its own, and return when some of its rows are there."""
-    file = bench.root / "s.toml"
-    file.write_text(QUICK.replace("seeds = 2", "seeds = 200") + "options.calibrator.sleep_s = 0.1\n")
-    process = subprocess.Popen(
-        [sys.executable, "-m", "p2o", "ablate", str(file), "--plugin", str(PLUGIN)]
-        + ["--out", str(bench.root / "out"), "--quiet", *words],
-        env={**os.environ, "P2O_CACHE": str(bench.root / "cache")},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
-    until = time.monotonic() + 120
-    while process.poll() is None and time.monotonic() < until and len(there(bench.root / "out")) < 3:
-        time.sleep(0.05)
-    assert process.poll() is None, process.communicate()[1]
-    return process
-
-
-def there(folder: Path) -> set[str]:
-    """Return the keys of the rows in a folder to which another process writes."""
-    return {row.key for row in Rows(folder).each("tiny")}
+SLOW = QUICK.replace("seeds = 2", "seeds = 200") + "options.calibrator.sleep_s = 0.1\n"
 
 
 def alive(session: int) -> list[str]:
@@ -290,22 +243,22 @@ def test_a_study_that_is_told_to_end_keeps_its_rows_and_leaves_no_worker(
 ) -> None:
     bench, processes = started
     jobs, number, tell = ENDS[case]
-    process = start(bench, "--jobs", jobs)
+    process = bench.started(SLOW, 3, "--jobs", jobs)
     processes.append(process)
-    before = there(bench.root / "out")
+    before = set(bench.keys())
     tell(process.pid, number)
     out, err = process.communicate(timeout=60)
     assert process.returncode == 130, err
     assert "Traceback" not in err
     assert out.startswith("Tiny\n"), "the table of what is there"
-    assert there(bench.root / "out") >= before
+    assert set(bench.keys()) >= before
     assert gone(process.pid)
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes in /proc")
 def test_workers_leave_when_the_study_is_killed(started: tuple[Bench, list[subprocess.Popen[str]]]) -> None:
     bench, processes = started
-    process = start(bench, "--jobs", "2")
+    process = bench.started(SLOW, 3, "--jobs", "2")
     processes.append(process)
     assert len(alive(process.pid)) >= 3
     process.kill()
@@ -317,15 +270,15 @@ def test_a_second_request_to_end_while_the_first_is_obeyed_loses_nothing(
     started: tuple[Bench, list[subprocess.Popen[str]]],
 ) -> None:
     bench, processes = started
-    process = start(bench, "--jobs", "2")
+    process = bench.started(SLOW, 3, "--jobs", "2")
     processes.append(process)
-    before = there(bench.root / "out")
+    before = set(bench.keys())
     for _ in range(3):
         process.send_signal(signal.SIGTERM)
         time.sleep(0.02)
     process.communicate(timeout=60)
     assert process.returncode in (130, -signal.SIGTERM)
-    assert there(bench.root / "out") >= before
+    assert set(bench.keys()) >= before
     assert gone(process.pid)
 
 
@@ -340,9 +293,7 @@ def test_an_error_of_the_system_prints_the_table_of_the_kept_rows_and_the_next_s
         put(rows, study, row)
 
     monkeypatch.setattr(Rows, "put", limited)
-    (bench.root / "s.toml").write_text(QUICK)
-    words = ["ablate", str(bench.root / "s.toml"), "--plugin", str(PLUGIN), "--out", str(bench.root / "out")]
-    assert main([*words, "--jobs", "1", "--no-isolate", "--quiet"]) == 2
+    assert main(bench.words(QUICK, "--jobs", "1", "--no-isolate", "--quiet")) == 2
     captured = capsys.readouterr()
     assert re.search(r"^quick +2 ", captured.out, re.MULTILINE)
     kept, error = captured.err.splitlines()

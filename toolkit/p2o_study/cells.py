@@ -7,7 +7,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache, partial
+from functools import cache, cached_property, lru_cache, partial
 from itertools import accumulate
 from typing import Any
 
@@ -31,7 +31,7 @@ from p2o_study.keys import features_key, method_content
 from p2o_study.row import GIVEN, UNREADABLE, Case, Environment, Row, frame_digest, rounded_pose
 from p2o_study.row import Frame as FrameOfCase
 from p2o_study.row import Method as MethodOfRow
-from p2o_study.study import ALL_JOINT, BY_CAMERA, BY_RIG, MAX_SEEDS, StudyRow, with_place
+from p2o_study.study import ALL_JOINT, BY_CAMERA, BY_RIG, StudyRow, with_place
 from p2o_study.worker import FrameRecord, Plugins, Source
 
 _KEY_LENGTH = 20
@@ -54,7 +54,7 @@ class Method:
     digest: str
 
     @classmethod
-    def of(cls, row: StudyRow, seed: int, data_options: str, versions: Mapping[str, str], registry: Registry) -> Method:
+    def of(cls, row: StudyRow, data_options: str, versions: Mapping[str, str], registry: Registry, seed: int) -> Method:
         """Return the methods of a seed; `data_options` are the options of the dataset as JSON."""
         recipe = row.recipe(seed)
         options = {**recipe.options, "data": json.loads(data_options)}
@@ -119,14 +119,6 @@ def open_rows(rows: Sequence[StudyRow], plugins: Plugins, at_most: int) -> list[
     sources: dict[tuple[str, str, str, str], tuple[Source, ...]] = {}
     out = []
     count = 0
-    asked: list[tuple[StudyRow, str, Mapping[str, str]]] = []
-
-    # Cells iterate over frames, then seeds: the cache must hold the methods of all seeds of a row.
-    @lru_cache(maxsize=MAX_SEEDS)
-    def method_of(number: int, seed: int) -> Method:
-        row, data_options, versions = asked[number]
-        return Method.of(row, seed, data_options, versions, registry)
-
     for row in rows:
         data, options = row.dataset.data, _data_options(row, registry)
         where = f"{row.where}, dataset '{row.dataset.name}'"
@@ -155,8 +147,7 @@ def open_rows(rows: Sequence[StudyRow], plugins: Plugins, at_most: int) -> list[
                 got=f"{count} up to this row",
                 hint="choose fewer frames or seeds (--frames, --seeds), or confirm the number: --at-most N",
             )
-        asked.append((row, options, versions))
-        method = partial(method_of, len(asked) - 1)
+        method = cache(partial(Method.of, row, options, versions, registry))
         # Raises before any work if an option does not accept such a seed.
         for seed in {min(row.seeds), max(row.seeds)}:
             method(seed)
@@ -341,8 +332,6 @@ class Cells(Sequence[Cell]):
         return self._ends[-1] if self._ends else 0
 
     def __getitem__(self, position: Any) -> Any:
-        if isinstance(position, slice):
-            return [self[number] for number in range(*position.indices(len(self)))]
         entry, group, seed = self.place(position)
         method, start = entry.method(seed), None
         if group.readable and self._initial_guess is not None:
@@ -371,9 +360,8 @@ class Cells(Sequence[Cell]):
 
     def place(self, position: int) -> tuple[OpenRow, Group, int]:
         """Return row, frames and seed of a calibration without building the cell."""
-        if not -len(self) <= position < len(self):
+        if not 0 <= position < len(self):
             raise IndexError(position)
-        position %= len(self)
         at = bisect_right(self._ends, position)
         entry = self._rows[at]
         number, seed = divmod(position - (self._ends[at - 1] if at else 0), len(entry.row.seeds))

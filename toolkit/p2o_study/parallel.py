@@ -139,18 +139,18 @@ class Workers:
 
 def _results(pool: _Pool, work: Work, jobs: Iterable[tuple[int, Any]]) -> Generator[tuple[int, Any], None, None]:
     """Yield number and result of each numbered job until a worker dies, then cancel the others."""
-    batches, running = _Batches(jobs), set[Any]()
-    waiting = iter(batches)
+    waiting, running, size = iter(jobs), set[Any](), 1
     pool.prepare()
     try:
         while True:
-            while len(running) < 2 * max(1, pool.processors()) and (batch := next(waiting, None)) is not None:
+            while len(running) < 2 * max(1, pool.processors()) and (batch := list(itertools.islice(waiting, size))):
                 running.add(pool.submit(work, batch))
             if not running:
                 return
-            future, timed_results = pool.complete(running)
+            future, (took_s, results) = pool.complete(running)
             running.remove(future)
-            yield from batches.results_of(*timed_results)
+            size = _batch_size(took_s, len(results))
+            yield from results
     except TimeoutError:
         running.clear()  # to cancel them would wait for the cluster
         raise
@@ -389,23 +389,14 @@ def _debugging() -> bool:
     return os.environ.get("P2O_DEBUG", "") not in ("", "0")
 
 
-class _Batches:
-    """Batches of numbered jobs, each of about one second: successive jobs share cached data, scheduling takes time."""
+def _batch_size(took_s: float, count: int) -> int:
+    """Return the number of jobs of a batch of about one second, after a batch of `count` jobs that took `took_s`.
 
-    def __init__(self, jobs: Iterable[tuple[int, Any]]) -> None:
-        self._jobs = iter(jobs)
-        self._size = 1
-
-    def __iter__(self) -> Iterator[list[tuple[int, Any]]]:
-        while batch := list(itertools.islice(self._jobs, self._size)):
-            yield batch
-
-    def results_of(self, took_s: float, results: list[tuple[int, Any]]) -> list[tuple[int, Any]]:
-        """Return the results of a batch and adapt the batch size to its duration."""
-        fitting = len(results) * _BATCH_S / max(took_s, 1e-6)
-        # Later jobs may be slower than the last ones: increase gradually, decrease immediately.
-        self._size = max(1, int(min(fitting, 2 * len(results), _MOST_IN_BATCH)))
-        return results
+    Successive jobs share cached data, and scheduling takes time.
+    """
+    fitting = count * _BATCH_S / max(took_s, 1e-6)
+    # Later jobs may be slower than the last ones: increase gradually, decrease immediately.
+    return max(1, int(min(fitting, 2 * count, _MOST_IN_BATCH)))
 
 
 def _numbered(work: Work, batch: list[tuple[int, Any]]) -> tuple[float, list[tuple[int, Any]]]:

@@ -103,13 +103,8 @@ class Rows:
                 yield row
 
     def latest(self, study: str) -> list[Row]:
-        """Return the last measured row of each identity."""
-        by_identity: dict[Any, Row] = {}
-        for row in self.each(study):
-            known = by_identity.get(row.identity)
-            if known is None or ((not row.crashed or known.crashed) and row.finished >= known.finished):
-                by_identity[row.identity] = row
-        return list(by_identity.values())
+        """Return the row of each identity that counts (`latest`)."""
+        return latest(self.each(study))
 
     def planned(self, study: str, *, rounds: bool = True) -> list[Row]:
         """Return the finished calibrations of the plan of a study, in its order, under its labels.
@@ -314,6 +309,20 @@ class Rows:
                 os.close(handle)
         except OSError as problem:
             raise _cannot_write(path, problem) from problem
+
+
+def latest(rows: Iterable[Row], fresh: Collection[str] = ()) -> list[Row]:
+    """Return one row of each identity: one that did not raise, then one with a `fresh` key, then the last measured."""
+
+    def rank(row: Row) -> tuple[bool, bool, str]:
+        return not row.crashed, row.key in fresh, row.finished
+
+    by_identity: dict[Any, Row] = {}
+    for row in rows:
+        known = by_identity.setdefault(row.identity, row)
+        if rank(row) >= rank(known):
+            by_identity[row.identity] = row
+    return list(by_identity.values())
 
 
 def _is_plan(path: Path) -> bool:

@@ -588,6 +588,15 @@ def find_study(word: str, registry: Registry) -> Study:
     return _read(matches[0][1], registry)
 
 
+def named_file(word: str, known: Mapping[str, Path], kind: str, folder: str | Path | None = None) -> Path:
+    """Return the path of a TOML file, or the known file of a name; raises UnknownNameError for an unknown one."""
+    if word.endswith(".toml"):
+        return expanded(word)
+    if word not in known:
+        raise UnknownNameError(kind, word, known, where=folder, hint="or give the path of a TOML file")
+    return known[word]
+
+
 def _read(file: Traversable | Path, registry: Registry) -> Study:
     with importlib.resources.as_file(file) as path:
         text = read_text(path, "study file")

@@ -10,7 +10,7 @@ from operator import methodcaller
 from typing import Any, Literal
 
 import numpy as np
-from p2o.errors import UnknownNameError, printable
+from p2o.errors import UnknownNameError, one_line
 from p2o.page.page import TRUST_LOOKS, Column, brief, cell, interval
 from p2o.results.result import SolverStatus
 from p2o.results.verdict import Trust
@@ -190,25 +190,29 @@ def figures_of(rows: Iterable[Statistics], without: Collection[str] = ()) -> lis
 
 @dataclass(frozen=True)
 class Entry:
-    """A column of a table of errors: heading, cell of a measured row (given its rivals), cell of a published one."""
+    """A column of a table of errors: heading, cell of a measured row and its rivals, metric shown of published ones."""
 
     header: str
     measured: Callable[[Statistics, Sequence[Statistics]], Cell]
-    published: Callable[[Published], Cell] = lambda row: Cell(NONE)
+    metric: str | None = None
 
 
 def _of_figure(figure: Figure) -> Entry:
-    return Entry(figure.name, lambda row, leaders: Cell(text_of(figure.column, row)))
+    return Entry(figure.name, lambda row, rivals: Cell(text_of(figure.column, row)))
 
 
 def _of_metric(metric: str, statistic: Statistic) -> Entry:
-    published = partial(_published, metric=metric) if statistic == "mean" else lambda row: Cell(NONE)
+    def error(row: Statistics, rivals: Sequence[Statistics]) -> Cell:
+        value: Interval | None = getattr(row, statistic)(metric)
+        plain = Interval(value.value) if value is not None and statistic == "median" else value
+        return Cell(shown(plain, metric), "bold" if leads(row, rivals, metric, statistic) else "")
+
     header = f"{name_of(metric)} {statistic} [{unit_of(metric)[0]}]"
-    return Entry(header, lambda row, leaders: _error(row, leaders, metric, statistic), published)
+    return Entry(header, error, metric if statistic == "mean" else None)
 
 
 def _of_solved(norm: str) -> Entry:
-    return Entry("solved only", lambda row, leaders: Cell(shown(row.solved_only.mean(norm), norm)))
+    return Entry("solved only", lambda row, rivals: Cell(shown(row.solved_only.mean(norm), norm)))
 
 
 def entries_of(names: Iterable[str], where: str) -> list[Entry]:
@@ -253,7 +257,7 @@ def error_table(
     lines = []
     for row in rows:
         if isinstance(row, Published):
-            cells = [entry.published(row) for entry in entries]
+            cells = [_published(row, entry.metric) for entry in entries]
             if all(one.text == NONE for one in cells):
                 continue
         else:
@@ -424,15 +428,9 @@ def label_cell(row: Statistics | Published) -> Cell:
     return Cell(f"{row.label} (published{f': {row.source}' if row.source else ''})", "italic")
 
 
-def _published(row: Published, metric: str) -> Cell:
-    value = row.values.get(metric, row.values.get(_PRINTED.get(metric, "")))
-    return Cell(NONE) if value is None else Cell(shown(Interval(value), metric), "italic")
-
-
-def _error(row: Statistics, rows: Sequence[Statistics], metric: str, statistic: Statistic) -> Cell:
-    value = getattr(row, statistic)(metric)
-    plain = Interval(value.value) if value is not None and statistic == "median" else value
-    return Cell(shown(plain, metric), "bold" if leads(row, rows, metric, statistic) else "")
+def _published(row: Published, metric: str | None) -> Cell:
+    value = None if metric is None else row.values.get(metric, row.values.get(_PRINTED.get(metric, "")))
+    return Cell(NONE) if metric is None or value is None else Cell(shown(Interval(value), metric), "italic")
 
 
 ENTRIES: Mapping[str, Entry] = {
@@ -492,7 +490,7 @@ def report_latex(summaries: Sequence[Summary], columns: Sequence[str] = ()) -> s
     """Return the tables of the report as LaTeX, with names of `columns` only those of errors, with these columns."""
     parts = ["% \\usepackage{booktabs,graphicx}\n"]
     for summary in summaries:
-        parts.append(f"\n% {_one_line(summary.name)}\n")
+        parts.append(f"\n% {one_line(summary.name)}\n")
         for group in summary.groups:
             parts += [latex_table(table, summary.title) for table in tables_of(group, summary, columns)]
     return "".join(parts)
@@ -500,15 +498,11 @@ def report_latex(summaries: Sequence[Summary], columns: Sequence[str] = ()) -> s
 
 def md_text(text: str) -> str:
     """Escape a text for Markdown: one line without marks, links and formulas."""
-    plain = _one_line(text)
+    plain = one_line(text)
     for mark in "\\`*_|<>#&$~":
         plain = plain.replace(mark, f"\\{mark}")
     # Only brackets that would form a link are escaped: nearly every cell contains an interval.
     return re.sub(r"\](?=[(\[:])", r"]\\", plain)
-
-
-def _one_line(text: str) -> str:
-    return printable(" ".join(text.split()))
 
 
 _TEX = {
@@ -526,7 +520,7 @@ def tex_text(text: str) -> str:
     """Escape a text for LaTeX, also after a line break, where a bracket would begin a length."""
     if text == NONE:
         return "--"
-    plain = "".join(_TEX.get(letter, letter) for letter in _one_line(text))
+    plain = "".join(_TEX.get(letter, letter) for letter in one_line(text))
     return f"{{}}{plain}" if plain.startswith(("[", "*")) else plain
 
 

@@ -45,14 +45,12 @@ from p2o_study.damage import Damage
 from p2o_study.keys import method_content
 from p2o_study.machine import machine_info
 from p2o_study.parallel import limit_threads
-from p2o_study.row import Row, brief_figures
+from p2o_study.row import UNREADABLE, Row, brief_figures
 
 _Key = TypeVar("_Key", bound=Hashable)
 _Value = TypeVar("_Value")
 
 _DIGEST_DECIMALS = 6
-UNREADABLE = "unreadable"
-"""Replaces the content hash of a frame that cannot be read."""
 
 _FEATURES_IN_MEMORY = 128
 """Number of features in memory: enough for the joint calibration of a few dozen frames."""

@@ -6,7 +6,7 @@ A card also holds the digests of its frames, by which a reader verifies that own
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -15,9 +15,9 @@ from p2o.errors import InputError
 from p2o.files.input_file import listing, read_text
 from p2o.files.parsed_text import parse_yaml
 from p2o.frames.selection import select
-from p2o.options import validated
+from p2o.options import Options, validated
 from p2o.run.recipe import open_dataset
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+from pydantic import Field, StringConstraints
 
 from p2o_study.cells import frame_of
 from p2o_study.study import DatasetTable, Label
@@ -34,7 +34,7 @@ Name = Annotated[str, StringConstraints(min_length=1, max_length=500)]
 Text = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1, max_length=4000)]
 
 
-class Card(BaseModel):
+class Card(Options):
     """The description of one data set.
 
     `frames` states their number, `shown` whether images may be published, `truth` the accuracy of the ground truth and
@@ -42,8 +42,6 @@ class Card(BaseModel):
     splits.json of the suites and the datasets of suites that it describes. `digests` are those of rows
     (`p2o_study.row.frame_digest`) by frame, empty if none is recorded.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     title: Label
     sensor: Text
@@ -84,17 +82,13 @@ def read_cards(folder: Path = FOLDER) -> dict[str, Card]:
     return dict(sorted(cards.items()))
 
 
-def cards_text(cards: Mapping[str, Card]) -> str:
-    """Return cards in Markdown: a table of all, then a section for each with its other facts."""
-    return _markdown(cards, list(cards), [fact for fact in _FACTS if fact not in _COLUMNS])
+def cards_text(cards: Mapping[str, Card], *, page: bool = False) -> str:
+    """Return cards in Markdown: a table of all, then a section for each with its other facts.
 
-
-def page_text(cards: Mapping[str, Card]) -> str:
-    """Return the page of cards: a table of all, and sections with what decides of those whose frames are measured."""
-    return _markdown(cards, [name for name, card in cards.items() if card.lists], _OF_PAGE)
-
-
-def _markdown(cards: Mapping[str, Card], sections: Sequence[str], facts: Sequence[str]) -> str:
+    A `page` of cards has sections of those whose frames are measured, with what decides of them.
+    """
+    sections = [name for name, card in cards.items() if card.lists or not page]
+    facts = _OF_PAGE if page else [fact for fact in _FACTS if fact not in _COLUMNS]
     lines = ["| card | data | LiDAR | camera | images may be shown | digests |", "|:--|:--|:--|:--|:--|--:|"]
     for name, card in cards.items():
         columns = [md_text(text) for text in (card.title, card.sensor, card.camera)]

@@ -6,8 +6,6 @@ direction and order, and how its result is read. Poses of p2o are camera_from_li
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -17,10 +15,10 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from p2o.arrays import Float, UInt8
-from p2o.calibration_files.number_text import digits, listed, matrix_rows, plain, quaternion_xyzw, spaced
+from p2o.calibration_files.number_text import digits, listed, matrix_rows, quaternion_xyzw, spaced
 from p2o.draw.coloured_cloud import ply_bytes
-from p2o.errors import InputError, UnknownNameError, one_line
-from p2o.files.input_file import expanded, listing, read_text
+from p2o.errors import InputError, one_line
+from p2o.files.input_file import listing, read_text
 from p2o.files.parsed_text import parse_json, parse_toml
 from p2o.files.whole_file import write_errors, write_whole
 from p2o.frames.cloud import Cloud
@@ -30,10 +28,11 @@ from p2o.geometry.camera import Camera
 from p2o.geometry.pose_text import read_pose
 from p2o.host.registry import Registry
 from p2o.host.shipped import shipped_files
-from p2o.options import validated
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints
+from p2o.options import Options, validated
+from pydantic import AfterValidator, Field, StringConstraints
 
-from p2o_study.benchmark.score import KEY, MATRIX, Key, Start, pose_in, records, starts_csv
+from p2o_study.benchmark.score import KEY, MATRIX, Key, Start, csv_text, pose_cells, pose_in, records, starts_csv
+from p2o_study.study import named_file
 from p2o_study.worker import frames_of
 
 FOLDER = "external"
@@ -81,18 +80,14 @@ Text = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1, max
 Direction = Literal["camera_from_lidar", "lidar_from_camera"]
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class TextFile(_Table):
+class TextFile(Options):
     """A text that the program reads; `text` has the words of `WORDS` as $WORD."""
 
     path: Inner
     text: Annotated[str, StringConstraints(max_length=20_000), AfterValidator(_known_words)]
 
 
-class ResultFile(_Table):
+class ResultFile(Options):
     """What the program writes: numbers in JSON below `keys`, or in a text after the first of the lines `after`.
 
     `order` is "matrix" for 3 or 4 rows of 4 numbers, else that of a translation in metres and a unit quaternion.
@@ -105,7 +100,7 @@ class ResultFile(_Table):
     direction: Direction = "camera_from_lidar"
 
 
-class Form(_Table):
+class Form(Options):
     """The files of one program for one calibration; `source` names the repository and files that document them.
 
     `image` and `cloud` are paths with the number of the frame, whose suffix is the file format. `direction` is that of
@@ -133,20 +128,9 @@ def find_form(word: str, registry: Registry) -> Form:
 
     Raises UnknownNameError for an unknown name or key, InputError for a file that cannot be read or is not valid.
     """
-    path = expanded(word)
-    if not word.endswith(".toml"):
-        known = {Path(str(file)).stem: Path(str(file)) for _, file in shipped_files(registry, FOLDER)}
-        if word not in known:
-            raise UnknownNameError("form of an external program", word, known, hint="or give the path of a TOML file")
-        path = known[word]
-    form = validated(Form, parse_toml(read_text(path, "form"), "form", path), where=path)
-    for name, suffixes in (("image", (".png", ".bmp")), ("cloud", tuple(_CLOUDS))):
-        if not getattr(form, name).endswith(suffixes):
-            got = getattr(form, name)
-            raise InputError(
-                f"the file format of {name} is unknown", where=path, expected=" or ".join(suffixes), got=got
-            )
-    return form
+    known = {Path(str(file)).stem: Path(str(file)) for _, file in shipped_files(registry, FOLDER)}
+    path = named_file(word, known, "form of an external program")
+    return validated(Form, parse_toml(read_text(path, "form"), "form", path), where=path)
 
 
 def write_inputs(folder: Path, starts: Mapping[Key, Start], form: Form) -> int:
@@ -213,23 +197,19 @@ def _points(cloud: Cloud, form: Form) -> Any:
     return np.column_stack([cloud.xyz, intensity]).astype("<f4")
 
 
-def _bin(points: Any) -> bytes:
-    return bytes(points.tobytes())
-
-
 def _pcd(points: Any) -> bytes:
     head = (
         "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z intensity\nSIZE 4 4 4 4\nTYPE F F F F\n"
         f"COUNT 1 1 1 1\nWIDTH {len(points)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(points)}\nDATA binary\n"
     )
-    return head.encode() + _bin(points)
+    return head.encode() + bytes(points.tobytes())
 
 
-def _ply(points: Any) -> bytes:
-    return ply_bytes(dict(zip(("x", "y", "z", "intensity"), points.T, strict=True)))
-
-
-_CLOUDS: Mapping[str, Callable[[Any], bytes]] = {".pcd": _pcd, ".ply": _ply, ".bin": _bin}
+_CLOUDS: Mapping[str, Callable[[Any], bytes]] = {
+    ".pcd": _pcd,
+    ".ply": lambda points: ply_bytes(dict(zip(("x", "y", "z", "intensity"), points.T, strict=True))),
+    ".bin": lambda points: bytes(points.tobytes()),
+}
 
 
 def _words(folder: Path, form: Form, count: int, camera: Camera, start: Float) -> dict[str, str]:
@@ -259,20 +239,17 @@ def poses_csv(folder: Path, form: Form) -> str:
     An empty file of a result is a refused calibration. Raises InputError for a missing result, one in another format,
     and if most poses are near their initial guess only when inverted.
     """
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow((*KEY, *MATRIX))
-    inverted, count = 0, 0
+    rows, inverted, count = [], 0, 0
     for number, (line, values) in enumerate(records(folder / STARTS)):
         pose, start = read_result(_folder(folder, number), form.result), pose_in(values, f"{folder / STARTS}:{line}")
-        writer.writerow([*(values[name] for name in KEY), *([""] * 16 if pose is None else map(repr, plain(pose)))])
+        rows.append([*(values[name] for name in KEY), *pose_cells(pose)])
         if pose is not None and start is not None:
             count += 1
             inverted += _angle_deg(start, se3.inverse(pose)) < _NEAR_DEG < _angle_deg(start, pose)
     if inverted > count / 2:
         fault, expected = "most poses are near their initial guess only when inverted", form.result.direction
         raise InputError(fault, where=folder, expected=expected, got=f"{inverted} of {count}")
-    return text.getvalue()
+    return csv_text((*KEY, *MATRIX), rows)
 
 
 def _angle_deg(start: Float, pose: Float) -> float:

@@ -22,7 +22,7 @@ from p2o_study.ablate import Progress, open_session
 from p2o_study.benchmark.suite import Suite
 from p2o_study.cells import Cell, Method
 from p2o_study.row import Row
-from p2o_study.rows import Rows
+from p2o_study.rows import Rows, latest
 from p2o_study.worker import Plugins
 
 SAME_DEG, SAME_M, SAME_PREDICTED = 1e-6, 1e-6, 1e-3
@@ -54,16 +54,14 @@ class SuiteStatus:
     """The state of every calibration of a suite.
 
     `unchecked` are datasets without a path: their existing rows are compared by method only, and missing ones are
-    unknown. `surplus` counts rows that the suite does not ask for, or that a later row replaces, `unreadable`
-    calibrations with a frame that cannot be read. `kept` and `removable` are the rows: one can be removed if a later
-    one replaces it, or if the suite does not ask for it. Of datasets without a path or with a frame that cannot be
-    read, only replaced rows can be removed.
+    unknown. `unreadable` counts calibrations with a frame that cannot be read. `kept` and `removable` are the rows: one
+    can be removed if a later one replaces it, or if the suite does not ask for it. Of datasets without a path or with a
+    frame that cannot be read, only replaced rows can be removed.
     """
 
     suite: str
     entries: tuple[Entry, ...]
     unchecked: tuple[str, ...]
-    surplus: int
     unreadable: int
     kept: Sequence[Row]
     removable: Sequence[Row]
@@ -84,7 +82,7 @@ class SuiteStatus:
             "counts": {state.value: self.count(state) for state in State},
             "outdated": [{**row.named(), "state": state.value} for row, state in self.outdated],
             "unchecked_datasets": list(self.unchecked),
-            "surplus_rows": self.surplus,
+            "surplus_rows": len(self.removable),
             "unreadable": self.unreadable,
         }
 
@@ -93,17 +91,16 @@ class _Known:
     """The rows of a suite by key, with and without their labels, and by identity."""
 
     def __init__(self, rows: Iterable[Row]) -> None:
+        rows = list(rows)
         self.by_key: dict[str, Row] = {}
         self.by_label: dict[Any, Row] = {}
-        self.by_identity: dict[Any, Row] = {}
-        for row in rows:
-            if not row.crashed:
-                self.by_key.setdefault(row.key, row)
-                self.by_label.setdefault((row.key, row.identity), row)
-            self.by_identity[row.identity] = row
+        for row in (row for row in rows if not row.crashed):
+            self.by_key.setdefault(row.key, row)
+            self.by_label.setdefault((row.key, row.identity), row)
+        self.by_identity = {row.identity: row for row in latest(rows)}
 
     def state(self, cell: Cell) -> tuple[State, Row | None]:
-        """Return the state of a calibration and its row, the last measured one unless there is a fresh one."""
+        """Return the state of a calibration and its row, the latest one unless there is a fresh one."""
         planned = cell.row
         if (fresh := self.by_label.get((planned.key, planned.identity))) is not None:
             return State.FRESH, fresh
@@ -220,31 +217,19 @@ def status_of(suite: Suite, results: Rows, plugins: Plugins, **words: Any) -> Su
                 asked.setdefault(_any_method(cell.row.identity), cell)
                 entries.append(Entry(cell.row, known.state(cell)[0]))
     revisions = _revisions(suite, plugins) if unchecked else {}
-    surplus = len(rows) - len(known.by_identity)
     for row in known.by_identity.values():
-        same = asked.get(_asked_by(row))
-        if same is not None and row.method.external:
+        same, current = asked.get(_asked_by(row)), revisions.get((row.section, row.row))
+        if row.method.external and same is not None:
             entries.append(Entry(row, _why_stale(same, row)))
-        elif same is None and row.dataset in unchecked and (row.method.external or (row.section, row.row) in revisions):
-            current = row.method.external or row.method.revision in revisions[row.section, row.row]
-            entries.append(Entry(row, State.CRASHED if row.crashed else State.FRESH if current else State.METHOD))
-        elif same is None:
-            surplus += 1
-    fresh = {cell.row.key for cell in asked.values()}
-    kept: dict[Any, Row] = {}
-    for row in rows:
-        before = kept.get(row.identity)
-        replaces = (
-            before is None or before.crashed or not (row.crashed or (before.key in fresh and row.key not in fresh))
-        )
-        if replaces and (_asked_by(row) in asked or row.dataset in {*unchecked, *unreadable}):
-            kept[row.identity] = row
-    chosen = set(map(id, kept.values()))
+        elif same is None and row.dataset in unchecked and (row.method.external or current is not None):
+            is_fresh = current is None or row.method.revision in current
+            entries.append(Entry(row, State.CRASHED if row.crashed else State.FRESH if is_fresh else State.METHOD))
+    counting = latest(rows, {cell.row.key for cell in asked.values()})
+    kept = [row for row in counting if _asked_by(row) in asked or row.dataset in {*unchecked, *unreadable}]
+    chosen = set(map(id, kept))
     removable = [row for row in rows if id(row) not in chosen]
     without_data = tuple(sorted(unchecked))
-    return SuiteStatus(
-        suite.name, tuple(entries), without_data, surplus, len(unreadable), list(kept.values()), removable
-    )
+    return SuiteStatus(suite.name, tuple(entries), without_data, len(unreadable), kept, removable)
 
 
 def _any_method(identity: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -261,7 +246,7 @@ def _revisions(suite: Suite, plugins: Plugins) -> Mapping[tuple[str, str], set[s
     """Return the revisions of the methods of each row, by section and label; no data are needed."""
     registry = plugins.registry()
     return {
-        (row.section, row.label): {Method.of(row, seed, "{}", {}, registry).digest for seed in row.seeds}
+        (row.section, row.label): {Method.of(row, "{}", {}, registry, seed).digest for seed in row.seeds}
         for row in suite.all_rows()
     }
 

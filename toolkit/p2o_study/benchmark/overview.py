@@ -16,13 +16,12 @@ from p2o.files.parsed_text import parse_toml
 from p2o.host.registry import Registry
 from p2o.host.shipped import shipped_files
 from p2o.host.slots import KIND_OF
-from p2o.options import validated
+from p2o.options import Options, validated
 from p2o.run.fit import FRAME_CONTENT
 from p2o.run.overview import FILE as RENDERED
 from p2o.run.overview import MethodFacts
 from p2o.run.presets import preset_of
 from p2o.run.recipe import Plan, Recipe
-from pydantic import BaseModel, ConfigDict
 
 from p2o_study.benchmark.lines import Key
 from p2o_study.benchmark.tables import SuiteTables
@@ -35,22 +34,19 @@ from p2o_study.tables import NONE, Cell, Table, markdown_table, with_unit
 FILE = "overview.toml"
 
 
-class _Place(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
+class _Place(Options):
     suite: str
     section: str
     label: str
     data: str
 
 
-class _Figures(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
+class _Figures(Options):
     study: str
     label: str
 
 
-class _Entry(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
+class _Entry(Options):
     paper: str
     use: str
     row: _Place | None = None

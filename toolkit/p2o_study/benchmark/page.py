@@ -5,12 +5,11 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from p2o.errors import P2OError
 from p2o.files.whole_file import write_whole
 from p2o.host.registry import Registry
@@ -24,12 +23,13 @@ from p2o_study.benchmark.overview import needs_of
 from p2o_study.benchmark.suite import Suite
 from p2o_study.benchmark.tables import NOTE
 from p2o_study.compare import family_of
-from p2o_study.curves import method_names, start_error_of
-from p2o_study.row import NORMS, Method, Row
+from p2o_study.curves import frames_of, method_names, start_error_of
+from p2o_study.report.worst import error_rank
+from p2o_study.row import NORMS, Method
 from p2o_study.rows import Rows
-from p2o_study.statistics import WRONG, Statistic, Statistics, top_groups
+from p2o_study.statistics import Statistics, top_groups
 from p2o_study.study import DatasetTable
-from p2o_study.tables import FIGURES, RUN_COLUMNS, error_cell, name_of, unit_of, with_unit
+from p2o_study.tables import FIGURES, RUN_COLUMNS, STATISTICS, error_cell, name_of, unit_of, with_unit
 
 INDEX = "index.html"
 MAX_BYTES = 4_000_000
@@ -54,35 +54,36 @@ _STARTS = {norm: f"initial {name_of(norm)}" for norm in NORMS}
 
 def line_columns() -> list[Column]:
     """Return the columns of rows; some are for filters, search and plots only."""
-    columns = [Column("method", text=True, hide=0, of=lambda one: cell(one.label, below=one.family))]
+    columns = [Column("method", text=True, hide=0, of=lambda line: cell(line.label, below=line.family))]
+    solved, starts = [], []
     for norm in NORMS:
         name, (unit, _, digits) = name_of(norm), unit_of(norm)
+        mean, median = (partial(error_cell, metric=norm, statistic=statistic) for statistic in STATISTICS)
         columns += [
             Column(f"{name} group", hide=2, looks={"1": "good"}, of=partial(_top_group, norm=norm)),
-            Column(f"{name} mean", unit, digits, hide=0, of=partial(_error, norm=norm, statistic="mean")),
-            Column(f"{name} median", unit, digits, hide=3, of=partial(_error, norm=norm, statistic="median")),
+            Column(f"{name} mean", unit, digits, hide=0, of=mean),
+            Column(f"{name} median", unit, digits, hide=3, of=median),
         ]
+        solved.append(Column(f"{name} of solved [{unit}]", off=True, of=partial(_solved, norm=norm)))
+        starts.append(Column(_STARTS[norm], norm.rpartition("_")[2], off=True, of=partial(_start, norm=norm)))
     figures = {figure.name: figure.column for figure in FIGURES}
     renamed = {"runs": "n", "frames": "distinct frames", "groups": "independent groups"}
     return [
         *columns,
-        *(
-            replace(figures[name], name=renamed.get(name, name), of=partial(_of_summary, figures[name]))
-            for name in _FIGURES
-        ),
-        Column("time", "s", hide=3, of=partial(_of_summary, figures["time [s]"])),
-        Column("suite", off=True, of=lambda one: one.suite.name),
-        Column("data set", off=True, of=lambda one: one.data_title),
-        Column("initial error", off=True, of=lambda one: one.protocol),
-        Column("frames", off=True, of=lambda one: one.frames[1]),
-        Column("family", off=True, of=lambda one: one.family),
-        Column("needs", off=True, of=lambda one: one.needs or [NO_NEEDS]),
-        Column("method words", off=True, of=lambda one: ", ".join(f"{k} {v}" for k, v in one.method.words.items())),
-        Column("source", off=True, of=lambda one: one.method.source or None),
-        *(Column(f"{name_of(n)} of solved [{unit_of(n)[0]}]", off=True, of=partial(_solved, norm=n)) for n in NORMS),
-        Column("name", off=True, of=lambda one: one.name),
-        Column("compared", off=True, of=lambda one: cell(one.heading, one.heading, one.suite.question)),
-        *(Column(_STARTS[n], n.rpartition("_")[2], off=True, of=partial(_start, norm=n)) for n in NORMS),
+        *(replace(figures[name], name=renamed.get(name, name)) for name in _FIGURES),
+        replace(figures["time [s]"], name="time", unit="s", hide=3),
+        Column("suite", off=True, of=lambda line: line.suite),
+        Column("data set", off=True, of=lambda line: line.data_title),
+        Column("initial error", off=True, of=lambda line: line.protocol),
+        Column("frames", off=True, of=frames_of),
+        Column("family", off=True, of=lambda line: line.family),
+        Column("needs", off=True, of=lambda line: line.needs or [NO_NEEDS]),
+        Column("method words", off=True, of=lambda line: ", ".join(f"{k} {v}" for k, v in line.method.words.items())),
+        Column("source", off=True, of=lambda line: line.method.source or None),
+        *solved,
+        Column("name", off=True, of=lambda line: line.name),
+        Column("compared", off=True, of=lambda line: cell(line.heading, line.heading, line.question)),
+        *starts,
     ]
 
 
@@ -92,25 +93,17 @@ _FIGURES = (
 )
 
 
-def _of_summary(column: Column, line: _Line) -> Any:
-    return None if column.of is None else column.of(line.summary)
-
-
 def _top_group(line: _Line, norm: str) -> int | None:
-    return line.top_group.get(norm)
-
-
-def _error(line: _Line, norm: str, statistic: Statistic) -> Any:
-    return error_cell(line.summary, norm, statistic)
-
-
-def _solved(line: _Line, norm: str) -> Any:
-    mean, (_, factor, digits) = line.summary.solved_only.mean(norm), unit_of(norm)
-    return None if mean is None else cell(brief(factor * mean.value), html.number_text(factor * mean.value, digits))
+    return line.top_group[norm]
 
 
 def _start(line: _Line, norm: str) -> float | None:
-    return brief(start_error_of(line.summary, norm))
+    return brief(start_error_of(line, norm))
+
+
+def _solved(line: _Line, norm: str) -> Any:
+    mean, (_, factor, digits) = line.solved_only.mean(norm), unit_of(norm)
+    return None if mean is None else cell(brief(factor * mean.value), html.number_text(factor * mean.value, digits))
 
 
 # ---- the page
@@ -126,33 +119,25 @@ class Written:
     runs: int
 
 
-@dataclass(eq=False)
-class _Line:
-    """One row of the page: the runs of a label on one dataset from one initial error.
+@dataclass(frozen=True, eq=False)
+class _Line(Statistics):
+    """One row of the page: the runs of a label on one dataset from one initial error, in a suite with its question.
 
-    `name` is the common name of the rows of its method, `top_group` its top group by norm, `data_title` the
-    dataset with its sensors.
+    `name` is the common name of the rows of its method, `data_title` the dataset with its sensors, `top_group` its top
+    group by norm.
     """
 
-    suite: Suite
-    summary: Statistics
+    suite: str = ""
+    question: str = ""
     name: str = ""
+    data_title: str = ""
     family: str = ""
     needs: Sequence[str] = ()
-    data_title: str = ""
-    top_group: Mapping[str, int | None] = field(default_factory=dict)
-
-    @property
-    def rows(self) -> Sequence[Row]:
-        return self.summary.rows
+    top_group: dict[str, int | None] = field(default_factory=dict)
 
     @property
     def method(self) -> Method:
         return self.rows[-1].method
-
-    @property
-    def label(self) -> str:
-        return self.summary.label
 
     @property
     def dataset(self) -> str:
@@ -162,16 +147,10 @@ class _Line:
     def protocol(self) -> str:
         return self.rows[0].protocol
 
-    @cached_property
-    def frames(self) -> tuple[int, int]:
-        """Minimum and maximum number of frames of a calibration."""
-        counts = {len(row.frames) for row in self.rows}
-        return min(counts), max(counts)
-
     @property
     def frames_text(self) -> str:
-        """The number of frames of a calibration as text."""
-        least, most = self.frames
+        """The number of frames of a calibration as text; the last group of frames may be smaller."""
+        least, most = min(len(row.frames) for row in self.rows), frames_of(self)
         return f"{most if least == most else f'{least} to {most}'} frame{'s' * (most != 1)}"
 
     @property
@@ -180,9 +159,9 @@ class _Line:
         return f"{self.data_title}, {self.frames_text}, from {self.protocol}"
 
     @property
-    def comparable(self) -> tuple[str, str, str, int]:
-        """What rows have in common that are compared."""
-        return self.suite.name, self.dataset, self.protocol, self.frames[1]
+    def comparable(self) -> tuple[str, str, int]:
+        """What rows of a suite have in common that are compared."""
+        return self.dataset, self.protocol, frames_of(self)
 
 
 def write_page(
@@ -202,7 +181,6 @@ def write_page(
     """
     html.prepare_data(folder)
     shared, columns = html.Shared(), line_columns()
-    known_methods: dict[str, tuple[str, list[str]]] = {}
     shown: list[_Line] = []
     rows: list[list[Any]] = []
     opens = []
@@ -211,23 +189,18 @@ def write_page(
     for suite in suites:
         on_suite(suite.name)
         own = {table.name: cards(table) for table in suite.dataset}
-        for lines in _compared(suite, results):
+        for lines in _compared(suite, results, own, registry):
             chosen = lines[: MAX_ROWS - len(rows)] if size < MAX_BYTES else []
-            groups = {norm: top_groups([line.summary.mean(norm) for line in chosen]) for norm in NORMS}
-            for number, line in enumerate(chosen):
-                known = own.get(line.dataset, {})
-                sensors = ", ".join(sorted({card["sensor"] for card in known.values() if card.get("sensor")}))
-                line.data_title = f"{line.dataset} ({sensors})" if sensors else line.dataset
-                key = json.dumps([line.method.external, line.method.words], sort_keys=True)
-                if key not in known_methods:
-                    known_methods[key] = _family_and_needs(line.method, registry)
-                line.family, line.needs = known_methods[key]
-                line.top_group = {norm: groups[norm][number] for norm in NORMS}
+            for norm in NORMS:
+                for line, group in zip(chosen, top_groups([line.mean(norm) for line in chosen]), strict=True):
+                    line.top_group[norm] = group
+            for line in chosen:
                 cells = html.cells(columns, line)
                 size += len(json.dumps(cells))
                 if size > MAX_BYTES:
                     break
                 file = f"{suite.name}-{len(rows)}"
+                known = own.get(line.dataset, {})
                 facts = [_card(shared, title, card) for title, card in known.items()]
                 html.write_data(folder, file, [[*facts, _runs(line, shared)]])
                 opens.append(html.detail_of_file(f"{line.label}: {line.heading}", file))
@@ -236,7 +209,7 @@ def write_page(
                 rows.append(cells)
                 left_out -= 1
             left_out += len(lines)
-    families = {suite.name: {line.family for line in shown if line.suite is suite} for suite in suites}
+    families = {suite.name: {line.family for line in shown if line.suite == suite.name} for suite in suites}
     first = max(families, key=lambda name: len(families[name]), default="")
     filters = ["data set", "initial error", "frames", "family", "needs"]
     table = html.table(
@@ -251,7 +224,7 @@ def write_page(
     )
     left = f"The page has the first {len(rows)} rows; {left_out} further ones are left out." if left_out else ""
     data = [_card(shared, title, card) for title, card in described.items()]
-    blocks = _blocks([line for line in shown if line.suite.name == first], table, data, left)
+    blocks = _blocks([line for line in shown if line.suite == first], table, data, left)
     page = html.page("p2o benchmark", blocks, shared=shared, script_files=True)
     write_whole(folder / INDEX, page.encode())
     return Written(folder / INDEX, len(rows), left_out, sum(len(line.rows) for line in shown))
@@ -284,7 +257,7 @@ def _card(shared: html.Shared, title: str, card: Card) -> Block:
 
 def _runs(line: _Line, shared: html.Shared) -> Block:
     """Return the runs of a row, those with the largest errors first."""
-    rows = sorted(line.rows, key=_error_size, reverse=True)
+    rows = sorted(line.rows, key=error_rank, reverse=True)
     table = html.table(
         shared.use(html.columns_of(RUN_COLUMNS)),
         [html.cells(RUN_COLUMNS, row) for row in rows],
@@ -306,16 +279,16 @@ def _families(lines: Sequence[_Line]) -> Block:
     for heading, line in {line.heading: line for line in lines}.items():
         title = f"{line.dataset}, {line.frames_text}, from {line.protocol}"
         columns.append(Column(title, of=partial(_both_means, by_method, heading)))
-    opens = [html.rows_of("rows", suite=lines[0].suite.name, family=family, find=name) for family, name in keys]
+    opens = [html.rows_of("rows", suite=lines[0].suite, family=family, find=name) for family, name in keys]
     guide = "Mean rotation error, below it that of the translation. Select a method to see its rows."
     table = html.table(columns, keys, name="families", group="family", opens=opens)
-    question = html.text(lines[0].suite.question)
+    question = html.text(lines[0].question)
     return html.section("Methods by family", question, table, html.text(guide, "quiet"))
 
 
 def _both_means(by_method: Mapping[Any, Mapping[str, _Line]], heading: str, key: tuple[str, str]) -> Any:
     line = by_method[key].get(heading)
-    means = {} if line is None else {norm: mean for norm in NORMS if (mean := line.summary.mean(norm)) is not None}
+    means = {} if line is None else {norm: mean for norm in NORMS if (mean := line.mean(norm)) is not None}
     texts = [with_unit(mean.value, norm) for norm, mean in means.items()]
     return cell(brief(means[NORMS[0]].value), *texts) if texts else None
 
@@ -340,21 +313,36 @@ def _plots(norm: str) -> Block:
     return plot_of_table("rows", panels)
 
 
-def _error_size(row: Row) -> float:
-    """Return the size of the error of a run; runs without an error come first."""
-    error = row.error
-    return np.inf if error is None else error.rotation_deg / WRONG.angle_deg + error.translation_m / WRONG.distance_m
-
-
-def _compared(suite: Suite, results: Rows) -> list[list[_Line]]:
-    """Return the rows of a suite, one list for all that are compared with each other."""
-    known = [
-        replace(line, rows=own, label=line.label if own[0].method.external else own[0].row)
-        for line in read_lines(suite, results, only_asked=False).values()
-        for protocol in line.protocols
-        for own in [[row for row in line.rows if row.protocol == protocol]]
-    ]
-    lines = [_Line(suite, line, name) for line, name in zip(known, method_names(known), strict=True)]
+def _compared(
+    suite: Suite, results: Rows, cards: Mapping[str, Mapping[str, Card]], registry: Registry
+) -> list[list[_Line]]:
+    """Return the rows of a suite, one list for all that are compared with each other; `cards` are those of datasets."""
+    about: dict[str, tuple[str, list[str]]] = {}
+    known = []
+    for line in read_lines(suite, results, only_asked=False).values():
+        for protocol in line.protocols:
+            rows = [row for row in line.rows if row.protocol == protocol]
+            method, dataset = rows[-1].method, rows[0].dataset
+            label = line.label if method.external else rows[0].row
+            sensors = sorted({card["sensor"] for card in cards.get(dataset, {}).values() if card.get("sensor")})
+            title = f"{dataset} ({', '.join(sensors)})" if sensors else dataset
+            key = json.dumps([method.external, method.words], sort_keys=True)
+            if key not in about:
+                about[key] = _family_and_needs(method, registry)
+            family, needs = about[key]
+            known.append(
+                _Line(
+                    rows,
+                    label,
+                    suite.group_of,
+                    suite=suite.name,
+                    question=suite.question,
+                    data_title=title,
+                    family=family,
+                    needs=needs,
+                )
+            )
+    lines = [replace(line, name=name) for line, name in zip(known, method_names(known), strict=True)]
     lines.sort(key=lambda line: line.comparable)
     return [list(some) for _, some in groupby(lines, key=lambda line: line.comparable)]
 

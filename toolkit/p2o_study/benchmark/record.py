@@ -10,7 +10,6 @@ import shlex
 import subprocess
 import time
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
 from itertools import groupby
 from pathlib import Path
 from typing import Annotated, Literal
@@ -19,22 +18,21 @@ from p2o.errors import InputError, UnknownNameError
 from p2o.files.input_file import read_text
 from p2o.files.parsed_text import parse_json
 from p2o.files.whole_file import write_whole
-from p2o.options import validated
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+from p2o.options import Options, validated
+from pydantic import Field, StringConstraints
 
 from p2o_study.benchmark.marks import Writer
 from p2o_study.benchmark.measure import source_version
 from p2o_study.machine import machine_info
 from p2o_study.study import Line, Slug
+from p2o_study.worker import now
 
 FOLDER = "records"
 MAX_CHARACTERS = 20_000
 
 
-class Record(BaseModel):
+class Record(Options):
     """What a command printed: `output` is its standard output, `seconds` its duration on `machine`."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     version: Literal[1] = 1
     name: Slug
@@ -91,7 +89,7 @@ def recorded(name: str, command: Sequence[str], measured_by: str) -> Record:
         "commit": commit,
         "machine": machine_info(),
         "measured_by": measured_by,
-        "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+        "finished": now(),
     }
     return validated(Record, values, where=where)
 

@@ -10,6 +10,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from p2o.arrays import Float
@@ -75,12 +76,19 @@ def starts_of(cells: Iterable[Cell], section: str | None = None) -> dict[Key, St
 
 def starts_csv(starts: Mapping[Key, Start]) -> str:
     """Return the initial guesses as CSV: group, protocol, seed, frames (separated by ";"), camera_from_lidar (4, 4)."""
+    rows = [(*key, ";".join(start.case.names), *pose_cells(start.case.start)) for key, start in starts.items()]
+    return csv_text((*KEY, "frames", *MATRIX), rows)
+
+
+def pose_cells(pose: Float | None) -> list[str]:
+    """Return the cells of a pose (4, 4) by `MATRIX`, which are empty without one."""
+    return [""] * len(MATRIX) if pose is None else [repr(float(x)) for x in pose.ravel()]
+
+
+def csv_text(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """Return rows as CSV."""
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow((*KEY, "frames", *MATRIX))
-    for key, start in starts.items():
-        assert start.case.start is not None
-        writer.writerow((*key, ";".join(start.case.names), *(repr(float(x)) for x in start.case.start.ravel())))
+    csv.writer(text, lineterminator="\n").writerows([header, *rows])
     return text.getvalue()
 
 

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-from p2o.errors import InputError, UnknownNameError
-from p2o.files.input_file import existing_folder, expanded, read_text
+from p2o.errors import InputError
+from p2o.files.input_file import existing_folder, read_text
 from p2o.files.parsed_text import parse_toml
 from p2o.host.registry import Registry
 from p2o.host.shipped import shipped_files
@@ -18,7 +18,7 @@ from p2o.options import validated
 from p2o.run.protocol import PROTOCOLS
 
 from p2o_study.statistics import GroupOf, by_drive, by_frames
-from p2o_study.study import DatasetTable, Label, Line, Seeds, Study, StudyRow, find_study
+from p2o_study.study import DatasetTable, Label, Line, Seeds, Study, StudyRow, find_study, named_file
 
 FOLDER = "suites"
 """Folder of suites in a package: PACKAGE/suites/NAME.toml."""
@@ -90,12 +90,7 @@ def find_suite(word: str, registry: Registry, folder: str | Path | None = None) 
     Raises UnknownNameError for an unknown name or key, InputError for a file that cannot be read, is not valid, or
     whose rows are not comparable (`check_rows`).
     """
-    path = expanded(word)
-    if not word.endswith(".toml"):
-        known = suites(registry, folder)
-        if word not in known:
-            raise UnknownNameError("suite", word, known, where=folder, hint="or give the path of a TOML file")
-        path = known[word]
+    path = named_file(word, suites(registry, folder), "suite", folder)
     suite = validated(Suite, parse_toml(read_text(path, "suite"), "suite", path), where=path)
     named = path.parent / suite.study if suite.study.endswith(".toml") else suite.study
     suite = suite.over(find_study(str(named), registry)).with_methods(registry).model_copy(update={"file": path})

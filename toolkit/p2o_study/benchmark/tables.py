@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from p2o.errors import UnknownNameError
 from p2o.geometry.perturb import Perturbation
+from p2o.options import Options
 
 from p2o_study.benchmark.lines import Key, key_of, read_lines
 from p2o_study.benchmark.marks import Writer
@@ -31,24 +32,13 @@ from p2o_study.tables import (
     with_unit,
 )
 
-_WORDS: Mapping[str, tuple[str, ...] | None] = {
-    "data": None,
-    "methods": None,
-    "columns": None,
-    "sections": ("apart", "together"),
-    "pooled": ("below", "only"),
-    "over": ("frames",),
-    "target": None,
-    "reference": None,
-}
-"""Words of a mark and their values, None for names and sizes."""
 _LISTS = ("data", "methods", "columns")
+"""Words of a mark with several values."""
 _BRIEF = {"predicted 67 %"}
 """Columns that brief tables leave out."""
 
 
-@dataclass(frozen=True)
-class Choice:
+class Choice(Options):
     """What a page takes of a suite: one section (None: all), and some of the data sets and labels (empty: all).
 
     `columns` are "all", "brief" (no "solved only", no predicted errors), or names of columns. The rows of all sections
@@ -259,13 +249,10 @@ def rows_text(tables: Callable[[str], SuiteTables]) -> Writer:
 
     def text(subject: str, choices: Mapping[str, str]) -> str:
         suite, _, section = subject.partition(", ")
-        words: dict[str, Any] = {}
-        for name, value in choices.items():
-            known = _WORDS[name]
-            if known is not None and value not in known:
-                raise ValueError(value)
-            words[name] = tuple(value.split(", ")) if name in _LISTS else value
+        if "section" in choices:
+            raise KeyError("section")
+        words: dict[str, Any] = {n: tuple(v.split(", ")) if n in _LISTS else v for n, v in choices.items()}
         words["methods"] = tables(suite).labels_in(words.get("methods", ()))
-        return tables(suite).markdown(Choice(section or None, **words))
+        return tables(suite).markdown(Choice(section=section or None, **words))
 
     return text

@@ -18,9 +18,11 @@ from p2o.errors import InputError, P2OError, printable
 if TYPE_CHECKING:
     from p2o_study.ablate import Ablation, Progress
     from p2o_study.gate import Reference
+    from p2o_study.parallel import Workers
     from p2o_study.row import Row
     from p2o_study.rows import PlanRow
     from p2o_study.study import Study
+    from p2o_study.worker import Plugins
 
 
 at_most_option = click.option(
@@ -277,3 +279,10 @@ def progress_shown(quiet: bool) -> Iterator[tuple[Callable[[Progress], None], Ca
             click.echo(f"p2o: warning: {printable(text)}", err=True)
 
         yield (lambda progress: None) if quiet else say, warn
+
+
+@contextlib.contextmanager
+def session_words(plugins: Plugins, workers: Workers, quiet: bool) -> Iterator[dict[str, Any]]:
+    """Yield the words of a session that computes (`p2o_study.ablate.open_session`), and show its progress."""
+    with progress_shown(quiet) as (say, warn):
+        yield {"plugins": plugins, "workers": workers, "on_progress": say, "on_warning": warn}

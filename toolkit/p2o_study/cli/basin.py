@@ -11,7 +11,7 @@ from p2o.cli import INTERRUPTED
 from p2o.cli.plugin_options import plugin_options
 from p2o.errors import InputError
 
-from p2o_study.cli.ablate import at_most_option, jobs_option, progress_shown
+from p2o_study.cli.ablate import at_most_option, jobs_option, session_words
 
 _option = partial(click.option, show_default=True)
 
@@ -66,10 +66,8 @@ def command(
     known_study = None if study is None else find_study(study, registry)
     contenders = [contender_of(name, known_study, registry) for name in dict.fromkeys(methods)]
     file = basin_study(contenders, grid, **words)
-    with progress_shown(quiet) as (say, warn):
-        done = ablate(
-            file, out, plugins=plugins, workers=Workers(jobs), at_most=at_most, on_progress=say, on_warning=warn
-        )
+    with session_words(plugins, Workers(jobs), quiet) as session:
+        done = ablate(file, out, at_most=at_most, **session)
     basins = [basin_of(contender, grid, done.rows) for contender in contenders]
     for basin in basins:
         click.echo(_table(basin, grid))

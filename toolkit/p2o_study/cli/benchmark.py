@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import json
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
@@ -17,7 +17,7 @@ from p2o.cli.json_output import json_option, print_json
 from p2o.cli.plugin_options import plugin_options
 from p2o.errors import printable
 
-from p2o_study.cli.ablate import at_most_option, cluster_options, columns_option, data_options, progress_shown
+from p2o_study.cli.ablate import at_most_option, cluster_options, columns_option, data_options, session_words
 
 if TYPE_CHECKING:
     from p2o_study.benchmark.measure import SuiteStatus
@@ -86,14 +86,11 @@ class _Bench:
 
         return cache(lambda suite: SuiteTables.read(self.open(suite), self.rows))
 
-    @contextlib.contextmanager
-    def session(self, as_json: bool = False) -> Iterator[dict[str, Any]]:
-        """Yield the words of a session that computes, and show its progress."""
+    def session(self, as_json: bool = False) -> AbstractContextManager[dict[str, Any]]:
+        """Return the context with the words of a session that computes, which shows its progress."""
         from p2o_study.parallel import Workers
 
-        workers = Workers(self.workers, self.backend, self.address)
-        with progress_shown(self.quiet or as_json) as (say, warn):
-            yield {"plugins": self.plugins, "workers": workers, "on_progress": say, "on_warning": warn}
+        return session_words(self.plugins, Workers(self.workers, self.backend, self.address), self.quiet or as_json)
 
 
 _OPTIONS: dict[str, Callable[[Any], Any]] = {
@@ -203,7 +200,7 @@ def _status_text(status: SuiteStatus) -> str:
     from p2o_study.benchmark.measure import State
 
     counts = [f"{status.count(state)} {state.value}" for state in State if status.count(state)]
-    counts += [f"{status.surplus} surplus rows"] if status.surplus else []
+    counts += [f"{len(status.removable)} surplus rows"] if status.removable else []
     counts += [f"{status.unreadable} with unreadable frames"] if status.unreadable else []
     lines = [f"{status.suite}: {', '.join(counts) or 'no rows'}"]
     if status.unchecked:
@@ -378,7 +375,7 @@ def score(
 
 @command.command("table")
 @click.argument("suite")
-@click.option("--section", metavar="NAME", help="One section of the suite (default: all).")
+@_section
 @click.option("--commands", is_flag=True, help="Print the `p2o run` command that repeats one calibration of each row.")
 @click.option("--figures", metavar="DIR", help="Also write figures: error over number of frames and initial error.")
 @columns_option
@@ -403,14 +400,14 @@ def table(
         rows = [row for row in bench.rows.latest(tables.suite.name) if section in (None, row.section)]
         click.echo(repeat_text(tables.suite.all_rows(), rows))
         return 0
-    click.echo(tables.markdown(Choice(section, columns=columns or ("all",))))
+    click.echo(tables.markdown(Choice(section=section, columns=columns or ("all",))))
     click.echo(NOTE)
     if figures is not None:
         from p2o_study.report import write_figures
         from p2o_study.report.figures import figures_over
 
         lines = [line for key, line in tables.lines.items() if section in (None, key.section)]
-        for path in write_figures(Path(figures), figures_over(tables.suite.name, tables.suite.name, lines)):
+        for path in write_figures(Path(figures), [*figures_over(tables.suite.name, tables.suite.name, lines)]):
             click.echo(path)
     return 0
 
@@ -525,7 +522,7 @@ def docs(bench: _Bench, pages: tuple[str, ...], check: bool, cards: str) -> int:
     from p2o.files.input_file import read_text
     from p2o.files.whole_file import write_whole
 
-    from p2o_study.benchmark.card import page_text, read_cards
+    from p2o_study.benchmark.card import cards_text, read_cards
     from p2o_study.benchmark.marks import rendered
     from p2o_study.benchmark.overview import overview_files, overview_text
     from p2o_study.benchmark.published import published_text
@@ -536,7 +533,7 @@ def docs(bench: _Bench, pages: tuple[str, ...], check: bool, cards: str) -> int:
     writers = {
         "rows": rows_text(tables),
         "record": record_text(Path(bench.results)),
-        "cards": lambda *_: page_text(read_cards(Path(cards))),
+        "cards": lambda *_: cards_text(read_cards(Path(cards)), page=True),
         "published": published_text(bench.open),
         "methods": lambda *_: overview_text(registry, tables),
     }

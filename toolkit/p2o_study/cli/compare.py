@@ -13,7 +13,7 @@ from p2o.cli.json_output import json_option, print_json
 from p2o.cli.plugin_options import data_argument, plugin_options
 from p2o.cli.pose_options import StartCommand
 
-from p2o_study.cli.ablate import at_most_option, jobs_option, progress_shown
+from p2o_study.cli.ablate import at_most_option, jobs_option, session_words
 
 _option = partial(click.option, show_default=True)
 
@@ -75,18 +75,8 @@ def command(
 
     plugins = Plugins.of(block, plugin)
     contenders = contenders_of([name.strip() for name in methods.split(",")], plugins.registry())
-    with progress_shown(quiet or as_json) as (say, warn):
-        done, comparison = compare(
-            contenders,
-            data,
-            out,
-            seeds=parse_seeds(seeds),
-            plugins=plugins,
-            workers=Workers(jobs),
-            on_progress=say,
-            on_warning=warn,
-            **words,
-        )
+    with session_words(plugins, Workers(jobs), quiet or as_json) as session:
+        done, comparison = compare(contenders, data, out, seeds=parse_seeds(seeds), **words, **session)
     if done.interrupted or done.missing:
         click.echo(f"p2o: interrupted; {len(done.rows)} rows are kept in {out}; the same command continues", err=True)
     if comparison is None:

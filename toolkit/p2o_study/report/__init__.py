@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING
@@ -23,6 +23,10 @@ Tell = Callable[[str, int, int], None]
 """Callback with the name of the current image or figure, the number of finished ones and their total."""
 
 
+def _silent(what: str, done: int, total: int) -> None:
+    """Report nothing."""
+
+
 def write_report(
     folder: str | Path,
     out: str | Path | None = None,
@@ -32,7 +36,7 @@ def write_report(
     overlays: int = 12,
     columns: Sequence[str] = (),
     registry: Registry | None = None,
-    on_progress: Tell | None = None,
+    on_progress: Tell = _silent,
 ) -> list[Path]:
     """Write the report of the studies in a folder and return its files: report.html, report.md, report.tex, figures.
 
@@ -44,8 +48,6 @@ def write_report(
     Raises InputError if there is no store or no finished run, or `out` cannot be written; UnknownNameError for an
     unknown study or dataset; and as `p2o_study.report.overlays.draw_all`.
     """
-    from p2o.page.figure import drawn, figure_files
-
     from p2o_study import tables
     from p2o_study.report import figures, page
     from p2o_study.report.overlays import OverlayImages, draw_all
@@ -53,34 +55,25 @@ def write_report(
     folder = expanded(folder)
     images = OverlayImages()
     home = folder / "report" if out is None else expanded(out)
-    tell = on_progress or (lambda what, done, total: None)
     summaries = _summaries(Rows.existing(folder), studies)
     with write_errors("the report", home, "choose another --out"):
         make_writable(home)
     if data:
-        images = draw_all(summaries, data, overlays, registry or Registry.load(), tell)
+        images = draw_all(summaries, data, overlays, registry or Registry.load(), on_progress)
     html = page.page(summaries, images).encode()
-    files: dict[str, bytes] = {}
-    titles: dict[str, list[tuple[str, str]]] = {}
-    drawings = [
-        (summary.name, *drawing)
-        for summary, names in zip(summaries, figures.figure_names(summaries), strict=True)
-        for drawing in figures.figures_of(summary, names)
-    ]
-    for done, (study, name, title, figure) in enumerate(drawings):
-        tell(title, done, len(drawings))
-        titles.setdefault(study, []).append((title, f"{name}.png"))
-        files |= {f"{name}.{form}": content for form, content in figure_files(drawn(figure)).items()}
-    text = tables.report_markdown(summaries, lambda summary: titles.get(summary.name, ()), columns)
-    files["report.md"] = text.encode()
-    files["report.tex"] = tables.report_latex(summaries, columns).encode()
-    files["report.html"] = html
+    named = zip(summaries, figures.figure_names(summaries), strict=True)
+    drawings = {summary.name: list(figures.figures_of(summary, names)) for summary, names in named}
+    titles = {study: [(title, f"{name}.png") for name, title, _ in own] for study, own in drawings.items()}
+    text = tables.report_markdown(summaries, lambda summary: titles[summary.name], columns)
+    latex = tables.report_latex(summaries, columns)
+    drawn = write_figures(home, [drawing for own in drawings.values() for drawing in own], on_progress)
+    files = {"report.html": html, "report.tex": latex.encode(), "report.md": text.encode()}
     for name, content in files.items():
         write_whole(home / name, content)
-    return [home / name for name in reversed(files)]
+    return [*(home / name for name in files), *reversed(drawn)]
 
 
-def write_figures(folder: Path, named: Iterable[tuple[str, str, Figure]]) -> list[Path]:
+def write_figures(folder: Path, named: Sequence[tuple[str, str, Figure]], tell: Tell = _silent) -> list[Path]:
     """Write figures with (name, title, figure) as PNG, SVG and PDF to a folder, and return the files.
 
     Raises InputError if they cannot be written.
@@ -89,10 +82,13 @@ def write_figures(folder: Path, named: Iterable[tuple[str, str, Figure]]) -> lis
 
     with write_errors("the figures", folder, "choose another folder"):
         make_writable(folder)
-    files = {f"{name}.{form}": one for name, _, figure in named for form, one in figure_files(drawn(figure)).items()}
-    for name, content in files.items():
-        write_whole(folder / name, content)
-    return [folder / name for name in files]
+    paths = []
+    for done, (name, title, figure) in enumerate(named):
+        tell(title, done, len(named))
+        for form, content in figure_files(drawn(figure)).items():
+            paths.append(folder / f"{name}.{form}")
+            write_whole(paths[-1], content)
+    return paths
 
 
 def _summaries(rows: Rows, names: Sequence[str]) -> list[Summary]:

@@ -14,7 +14,7 @@ from p2o.page.plot import Axis, Figure, Panel, Series
 
 from p2o_study.curves import Over, curves, frames_of, start_error_of
 from p2o_study.row import NORMS, Row
-from p2o_study.statistics import Interval, Statistics
+from p2o_study.statistics import Statistics
 from p2o_study.summary import Group, Summary
 from p2o_study.tables import name_of, unit_of
 
@@ -57,15 +57,6 @@ def convergence_of(runs: Iterable[Row]) -> Convergence | None:
     quartiles = np.array([np.quantile([v[min(i, len(v) - 1)] for v in values], QUARTILES, axis=0) for i in last])
     matches, residual_px = np.moveaxis(quartiles, (2, 1), (0, 1))
     return Convergence(len(values), matches, residual_px)
-
-
-def rounds_differ_much(histories: Iterable[Convergence | None]) -> tuple[bool, bool]:
-    """Return whether the medians of matches and of residuals in the last round `differ_much` between rows."""
-    known = [history for history in histories if history is not None]
-    return (
-        differ_much(history.matches[1, -1:] for history in known),
-        differ_much(history.residual_px[1, -1:] for history in known),
-    )
 
 
 def differ_much(rows: Iterable[Float]) -> bool:
@@ -181,19 +172,17 @@ def _ranked(group: Group, metric: str) -> Panel:
 
 def rounds(group: Group) -> list[Panel]:
     """Return matches and residual by round over all runs of a row: medians, with quartiles as bands."""
-    histories = [(row.label, convergence_of(row.rows)) for row in group.measured]
-    logs = rounds_differ_much(history for _, history in histories)
+    known = [(row.label, history) for row in group.measured if (history := convergence_of(row.rows)) is not None]
     panels = []
-    for title, name, log in zip(("matches", "mean residual [px]"), ("matches", "residual_px"), logs, strict=True):
+    for title, name in (("matches", "matches"), ("mean residual [px]", "residual_px")):
+        log = differ_much(getattr(history, name)[1, -1:] for _, history in known)
         series = []
-        for label, history in histories:
-            if history is not None:
-                low, middle, high = getattr(history, name).tolist()
-                count = range(1, len(middle) + 1)
-                named = f"{label} ({history.runs} runs)"
-                series.append(Series(named, count, middle, "line", low=low, high=high, band=True))
+        for label, history in known:
+            low, middle, high = getattr(history, name).tolist()
+            named, count = f"{label} ({history.runs} runs)", range(1, len(middle) + 1)
+            series.append(Series(named, count, middle, "line", low=low, high=high, band=True))
         panels.append(Panel(Axis("round", whole=True), Axis(title, log=log, zero=not log), series))
-    return panels if panels[0].series else []
+    return panels if known else []
 
 
 def _places(group: Group) -> list[str]:
@@ -266,17 +255,13 @@ def _over(known: Mapping[str, Sequence[Statistics]], over: Over, norm: str) -> P
     for method, lines in known.items():
         means = [mean for line in lines if (mean := line.mean(norm)) is not None]
         places = [frames_of(line) if over == "frames" else factor * start_error_of(line, norm) for line in lines]
-        low, high = ([factor * (end or mean.value) for mean, end in ends] for ends in _ends(means))
+        low = [factor * (mean.low or mean.value) for mean in means]
+        high = [factor * (mean.high or mean.value) for mean in means]
         values = [factor * mean.value for mean in means]
         if len(values) == len(places):
             series.append(Series(method, places, values, "line", low=low, high=high))
     what = "frames of a joint calibration" if over == "frames" else f"initial {name_of(norm)} error [{unit}]"
     return Panel(Axis(what, log=True), Axis(f"mean {name_of(norm)} error [{unit}]", log=True), series)
-
-
-def _ends(means: Sequence[Interval]) -> Iterator[list[tuple[Interval, float | None]]]:
-    yield [(mean, mean.low) for mean in means]
-    yield [(mean, mean.high) for mean in means]
 
 
 def _axes_figure(group: Group, summary: Summary) -> Figure:
