@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import p2o
 import pytest
-from p2o import Frame, InputError, Kind, Method, Recipe, Registry, Result, Status, UnknownNameError
+from p2o import Frame, InputError, Method, Recipe, Registry, Result, Status, UnknownNameError
 from p2o.host.slots import WITNESS, WITNESS_STAGES
 from p2o.solving import Doubt
 from p2o_testing import stage
@@ -52,25 +52,15 @@ def result_of(stage_of_method: Any, **words: Any) -> Result:
 @pytest.mark.parametrize(
     "pose", [TRUTH, TRUTH @ p2o.se3.exp(np.array([0, 0.05, 0.05, 0, 0, 0]))], ids=["right", "wrong"]
 )
-def test_what_a_whole_method_claims_is_held_against_edges(pose: np.ndarray) -> None:
-    result = result_of(Claims(pose), witness="depth/rings")
-    assert result.agreement.points > 0
-    assert result.verdict.trusted == (pose is TRUTH)
-    assert "witness" in result.seconds
-
-
-@pytest.mark.parametrize("pose", [TRUTH, TRUTH @ p2o.se3.exp(np.array([0, 0.05, 0.05, 0, 0, 0]))])
-def test_the_advice_of_a_frame_is_repeated_by_results_that_are_not_trusted(pose: np.ndarray) -> None:
+def test_what_a_whole_method_claims_is_held_against_edges_and_advice_repeated_if_not_trusted(pose: np.ndarray) -> None:
     plan = Recipe.of(data=None, calibrator="claims", witness="depth/rings").resolve(registry(Claims(pose)))
     frame = replace(stage.frame(), warnings=("grey image",), advice=("try rectified=true",))
     result = plan.assembly()([frame], START)
+    assert result.agreement.points > 0
+    assert result.verdict.trusted == (pose is TRUTH)
+    assert "witness" in result.seconds
     assert f"{frame.name}: grey image" in result.warnings
-    assert (f"{frame.name}: try rectified=true" in result.warnings) == (not result.verdict.trusted)
-
-
-def test_without_a_witness_nothing_is_checked_and_that_is_said() -> None:
-    result = result_of(Claims(TRUTH), witness="none")
-    assert [reason.doubt for reason in result.verdict.reasons] == [Doubt.NOT_CHECKED]
+    assert (f"{frame.name}: try rectified=true" in result.warnings) == (pose is not TRUTH)
 
 
 def test_a_witness_that_is_named_must_be_there_and_the_usual_one_need_not() -> None:
@@ -96,6 +86,7 @@ def test_a_whole_method_prepares_each_frame_once_and_without_its_truth() -> None
     result = plan.assembly()(frames, START)
     assert result.frames == ("stage", "second")
     assert [frame.camera_from_lidar for frame in method.shown] == [None, None]
+    assert [reason.doubt for reason in result.verdict.reasons] == [Doubt.NOT_CHECKED]
     assert tuple(plan.assembly().stages) == ("calibrator",)
 
 
@@ -135,7 +126,7 @@ def with_own(own: Own) -> Registry:
     return Registry.of(p2o_plugins.hooks, Plugin())
 
 
-def test_an_initializer_may_prepare_frames_and_finds_that_in_its_views() -> None:
+def test_an_initializer_may_prepare_frames_and_finds_that_in_its_views_and_frames_hold_what_it_needs() -> None:
     own = Own()
     plan = Recipe.of(data=None, extractor="depth/rings", init="own").resolve(with_own(own))
     assembly = plan.assembly()
@@ -145,10 +136,6 @@ def test_an_initializer_may_prepare_frames_and_finds_that_in_its_views() -> None
     assert own.found[:3] == ["of stage/0", "of stage/1", "of stage/2"]
     assembly.calibrator(stage.drive()[:1], START)
     assert own.found[-1] == "of stage/0", "the pipeline by itself does the same"
-
-
-def test_what_frames_hold_is_asked_for_initializers_too() -> None:
-    plan = Recipe.of(data=None, extractor="depth/rings", init="own").resolve(with_own(Own()))
     plan.check_frame(stage.drive()[0])
     with pytest.raises(InputError, match="the frame has no sequence; own needs it"):
         plan.check_frame(stage.frame())
@@ -177,10 +164,6 @@ def test_a_calibrator_that_is_none_names_its_plugin(build, text: str) -> None:
         Recipe.of(data=None, calibrator="broken", witness="none").resolve(Registry.of(Plugin())).assembly()(
             [stage.frame()], START
         )
-
-
-def test_kinds_have_a_hook_each() -> None:
-    assert Kind.ACCUMULATOR.hook == "p2o_accumulators"
 
 
 def test_a_resolved_recipe_with_a_witness_resolves_again() -> None:

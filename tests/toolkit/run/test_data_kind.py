@@ -47,7 +47,6 @@ def test_a_folder_is_recognised_by_its_layout(tmp_path: Path, kind: str) -> None
     ("kind", "inside"),
     [
         ("kitti-raw", "2011_09_26/2011_09_26_drive_0005_sync"),
-        ("kitti-raw", "2011_09_26"),
         ("kitti-odometry", "sequences/00"),
         ("folder", "a"),
         ("ros", "bag_0.db3"),

@@ -53,9 +53,7 @@ def test_names_are_told_and_starts_are_drawn_once() -> None:
         starts_of("cmrnext", "1deg")
     assert starts_of("p2o-calib", None) == "2deg 0.15m"
     assert starts_of(None, "1deg") == "1deg"
-
-
-def test_a_published_list_stands_beside_a_protocol_where_it_acts_on_the_same_side() -> None:
+    # A published list stands beside a protocol where it acts on the same side.
     assert starts_of("projfusion-15-15", "camera @test_13.txt") == "camera @test_13.txt"
     assert starts_of("claim", "@list.txt") == "@list.txt"
     with pytest.raises(InputError, match="act in the camera's frame"):

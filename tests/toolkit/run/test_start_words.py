@@ -58,7 +58,6 @@ def test_an_option_after_roughly_is_no_part_of_the_description(
         (["--joint", "--start", "roughly", WORDS], f"roughly {WORDS}", True),
         (["--start", "roughly", "--joint"], "roughly", True),
         (["--start", "a.json", "--joint"], "a.json", True),
-        (["--start", "roughly"], "roughly", None),
     ],
 )
 def test_a_start_in_two_words_is_one_value(words: list[str], start: str, joint: bool | None) -> None:

@@ -56,14 +56,12 @@ def test_a_start_that_is_no_rough_one_names_the_wide_search_in_one_line() -> Non
 def test_a_trusted_result_runs_no_wide_search() -> None:
     near = se3.exp(np.array([0.02, 0, 0, 0, 0, 0])) @ TRUTH
     result = solved(near, start=WORDS)
-    assert result.verdict.trusted
-    assert not result.warnings
+    assert (result.verdict.trusted, result.warnings) == (True, ())
 
 
 @pytest.mark.parametrize("words", [{"start": WORDS, "init": "grid"}, {}])
 def test_another_initializer_or_start_has_no_wide_search(words: dict[str, str]) -> None:
-    plan = Recipe.of(data=None, **words).resolve(p2o.Registry.load())
-    assert plan.assembly().wide is None
+    assert Recipe.of(data=None, **words).resolve(p2o.Registry.load()).assembly().wide is None
 
 
 def test_a_recipe_with_a_wide_search_repeats_from_its_description() -> None:
