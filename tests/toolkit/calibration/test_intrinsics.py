@@ -40,10 +40,8 @@ def estimate(error: RadialError) -> IntrinsicsEstimate:
         (RadialError(focal=0.03), 0),
         (RadialError(focal=-0.05), 0),
         (RadialError(radial=0.06), 1),
-        (RadialError(radial=0.18), 1),
         (RadialError(radial=-0.18), 1),
         (RadialError(x_px=30.0), 2),
-        (RadialError(x_px=-20.0), 2),
     ],
     ids=lambda value: str(value),
 )
@@ -108,12 +106,8 @@ def test_a_significant_error_of_the_camera_is_part_of_the_covariance_of_the_pose
     step = se3.log(wrong.camera_from_lidar @ se3.inverse(AWAY))
     assert np.sqrt(np.diag(wrong.absorbed)) == pytest.approx(np.abs(step))
     assert not correct.absorbed.any()
-
-
-def test_a_correct_camera_is_not_in_doubt() -> None:
-    [fit] = estimate(RadialError()).fits
-    assert not any(fit.significant)
-    assert abs(fit.error.focal) < 0.003
+    assert not any(correct.fits[0].significant)
+    assert abs(correct.fits[0].error.focal) < 0.003
 
 
 @pytest.mark.parametrize("y_px", [-6.5, 6.5])
@@ -143,11 +137,9 @@ def test_without_edges_there_is_no_estimate() -> None:
 
 def test_two_cameras_have_errors_of_their_own() -> None:
     wide = replace(PINHOLE, params=(650.0, 655.0, 610.0, 190.0))
-    error = RadialError(focal=0.04)
-    other = [
-        replace(edge_scene.view(error.corrected(wide), seed=seed, boxes=60, noise_px=0.5), camera=wide)
-        for seed in range(3, 6)
-    ]
+    true = RadialError(focal=0.04).corrected(wide)
+    seen = [edge_scene.view(true, seed=seed, boxes=60, noise_px=0.5) for seed in range(3, 6)]
+    other = [replace(view, camera=wide) for view in seen]
     found = estimate_intrinsics([*views(RadialError()), *other], AWAY)
     assert found is not None
     first, second = found.fits

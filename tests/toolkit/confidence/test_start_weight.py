@@ -7,7 +7,6 @@ import p2o
 import pytest
 from p2o import se3
 from p2o.confidence.accuracy import DEFAULT_ERROR_MODEL, with_start
-from p2o.geometry.pose_error import place_by_update
 
 from tests import edge_scene
 
@@ -80,12 +79,6 @@ def test_a_start_that_contradicts_the_edges_and_covariances_that_say_nothing_cha
     assert with_start(POSE, likely, start, SIGMA, DEFAULT_ERROR_MODEL) is None
 
 
-def test_turn_and_place_are_those_that_errors_are_told_in() -> None:
-    """A pose that is turned about the camera has its LiDAR elsewhere by the turn alone, in errors and here."""
-    place = place_by_update(POSE)
-    np.testing.assert_allclose(place[3:, :3], -se3.skew(POSE[:3, 3]))
-
-
 def solved(sigma: tuple[float, float] | None, **words: str) -> p2o.Result:
     return p2o.calibrate(
         "synthetic:?scenes=1&right=false&seed=3",
@@ -109,15 +102,10 @@ def test_the_result_says_what_the_edges_alone_say_and_what_the_start_changed() -
     assert both.judged.estimate < both.judged.start
     nearer = [se3.distance_m(se3.inverse(both.start) @ r.camera_from_lidar) for r in (both, alone)]
     assert nearer[0] < nearer[1]
+    assert solved((0.01, 0.001)).start_weight is None, "a start much worse than it was said to be"
 
 
-def test_a_start_much_worse_than_it_was_said_to_be_leaves_the_pose_to_the_edges() -> None:
-    good, bad = solved(SIGMA), solved((0.01, 0.001))
-    assert good.start_weight is not None
-    assert bad.start_weight is None
-
-
-@pytest.mark.parametrize("init", ["search", "given", "grid"])
+@pytest.mark.parametrize("init", ["given", "grid"])
 def test_no_method_averages_an_initial_guess_of_unknown_accuracy_and_all_can_be_told_it(init: str) -> None:
     assert solved(None, init=init).start_weight is None
     known = solved(SIGMA, init=init)

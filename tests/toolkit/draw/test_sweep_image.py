@@ -40,22 +40,15 @@ def test_by_reflectance_high_is_yellow_wherever_it_is() -> None:
     high, low = picture[30, 50].astype(int), picture[30, 250].astype(int)
     assert min(high[0], high[1]) > high[2] + 50
     assert low[1] < 60
-
-
-def test_a_sweep_without_reflectance_is_not_drawn_by_it() -> None:
     with pytest.raises(InputError, match="has no reflectance"):
         draw_sweep(RGB, Cloud(np.array([_at(50, 5.0)])), CAMERA, np.eye(4), "reflectance")
 
 
-def test_near_points_are_drawn_over_far_ones() -> None:
+def test_near_points_are_drawn_over_far_ones_and_what_is_not_in_the_image_is_not_drawn() -> None:
     points = np.array([_at(100, 5.0), _at(100, 50.0), _at(200, 5.0), _at(250, 50.0)])
     picture = draw_sweep(RGB, Cloud(points), CAMERA, np.eye(4))
     np.testing.assert_array_equal(picture[30, 100], picture[30, 200])
-
-
-@pytest.mark.parametrize("points", [[[0.0, 0.0, -5.0]], [[100.0, 0.0, 5.0]]])
-def test_what_is_not_in_the_image_leaves_it_as_it_is(points: list[list[float]]) -> None:
-    picture = draw_sweep(RGB, Cloud(np.array(points)), CAMERA, np.eye(4))
+    picture = draw_sweep(RGB, Cloud([[0.0, 0.0, -5.0], [100.0, 0.0, 5.0]]), CAMERA, np.eye(4))
     assert (picture == picture[0, 0]).all()
 
 

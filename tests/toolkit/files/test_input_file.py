@@ -21,7 +21,7 @@ from p2o.files.input_file import (
 )
 
 
-def test_pipes_sockets_devices_and_links_to_them_are_never_opened(tmp_path: Path) -> None:
+def test_pipes_sockets_devices_links_to_them_and_huge_sparse_files_are_never_opened(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "zero").symlink_to("/dev/zero")
     (tmp_path / "link").symlink_to(tmp_path / "pipe")
@@ -33,9 +33,6 @@ def test_pipes_sockets_devices_and_links_to_them_are_never_opened(tmp_path: Path
         for name, kind in (("pipe", "named pipe"), ("link", "named pipe"), ("zero", "device"), ("socket", "socket")):
             with pytest.raises(InputError, match=f"the image is a {kind}"):
                 read_bytes(tmp_path / name, "image")
-
-
-def test_a_sparse_file_that_says_it_is_huge_is_not_read(tmp_path: Path) -> None:
     with (tmp_path / "huge").open("wb") as file:
         file.truncate(MAX_TEXT_BYTES + 1)
     with pytest.raises(InputError, match="too large"):

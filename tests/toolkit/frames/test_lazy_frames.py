@@ -32,7 +32,7 @@ def test_nothing_is_read_before_a_frame_is_asked_for() -> None:
     assert read == ["c"]
 
 
-def test_slices_and_indices_are_those_of_a_list() -> None:
+def test_slices_and_indices_are_those_of_a_list_and_a_frame_that_was_left_out_says_why() -> None:
     dataset, _ = recording()
     assert dataset[-1].name == "e"
     assert dataset[::-2].names == tuple("eca")
@@ -40,10 +40,6 @@ def test_slices_and_indices_are_those_of_a_list() -> None:
     assert [f.name for f in dataset] == list("abcde")
     with pytest.raises(IndexError):
         dataset[5]
-
-
-def test_a_frame_that_was_left_out_says_which_file_is_missing() -> None:
-    dataset, _ = recording()
     assert dataset.frame("d").name == "d"
     with pytest.raises(InputError, match=r"frame 'f' is left out; got f\.bin is missing"):
         dataset.frame("f")

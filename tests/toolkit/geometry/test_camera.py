@@ -52,32 +52,12 @@ def test_every_model_of_pycolmap_is_tried_here() -> None:
     assert set(PARAMS) == set(pycolmap.CameraModelId.__members__) - {"INVALID", "EQUIRECTANGULAR"}
 
 
-def test_the_numbers_of_the_page() -> None:
-    camera = Camera.pinhole(700, 700, 600, 180, 1242, 375)
-    xyz = np.array([-2, 1, 10.0])
-    np.testing.assert_allclose(camera.project(xyz), [460, 250], atol=1e-12)
-    np.testing.assert_allclose(camera.rays(np.array([460.0, 250])) * np.linalg.norm(xyz), xyz, atol=1e-12)
-    assert np.linalg.norm(xyz) == pytest.approx(10.247, abs=5e-4)
+INSIDE = [(-0.5, -0.5), (1241.5, 374.5)]
+OUTSIDE = [(-0.51, 100), (1241.51, 100), (100, -0.51), (100, 374.51), (np.nan, 100), (100, np.nan)]
 
 
-@pytest.mark.parametrize(
-    ("uv", "inside"),
-    [
-        ((-0.5, -0.5), True),
-        ((1241.5, 374.5), True),
-        ((-0.51, 100), False),
-        ((1241.51, 100), False),
-        ((100, -0.51), False),
-        ((100, 374.51), False),
-        ((np.nan, 100), False),
-        ((100, np.nan), False),
-    ],
-)
-def test_the_image_reaches_half_a_pixel_beyond_the_outer_centres(uv: tuple[float, float], inside: bool) -> None:
-    assert MODELS["PINHOLE"].in_image(np.array(uv, dtype=float)) == inside
-
-
-def test_a_margin_grows_the_image_on_all_sides() -> None:
+def test_the_image_reaches_half_a_pixel_beyond_the_outer_centres_and_a_margin_grows_it_on_all_sides() -> None:
+    assert MODELS["PINHOLE"].in_image(np.array([*INSIDE, *OUTSIDE])).tolist() == [True] * 2 + [False] * 6
     camera = MODELS["PINHOLE"]
     outside = np.array([[-5.0, 100], [1246, 100], [600, -5], [600, 379]])
     assert not camera.in_image(outside, margin_px=4).any()
@@ -213,9 +193,7 @@ def test_the_camera_of_an_enlarged_image_projects_to_the_enlarged_pixels(camera:
     xyz = camera.rays(pixels(camera, 100)) * 10
     expected = 3 * (camera.project(xyz) + 0.5) - 0.5
     np.testing.assert_allclose(camera.resized(3 * WIDTH, 3 * HEIGHT).project(xyz), expected, rtol=1e-9)
-
-
-def test_the_image_may_be_resampled_by_another_factor_in_each_direction() -> None:
+    # By another factor in each direction.
     camera = Camera.pinhole(700, 710, 620, 187, WIDTH, HEIGHT)
     assert camera.resized(2 * WIDTH, 4 * HEIGHT) == Camera.pinhole(1400, 2840, 1240.5, 749.5, 2 * WIDTH, 4 * HEIGHT)
 
@@ -284,15 +262,6 @@ def test_without_pycolmap_common_models_work_and_others_say_what_to_install(monk
         Camera("FOV", WIDTH, HEIGHT, PARAMS["FOV"])
 
 
-@each_folding
-def test_lenses_that_are_the_same_all_around_fold_where_a_look_all_around_says(camera: Camera) -> None:
-    around = replace(camera)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Camera, "_is_radial", False)
-        expected = around._max_tangent
-    assert camera._max_tangent == pytest.approx(expected, rel=1e-12)
-
-
 @pytest.mark.parametrize("model", ["PINHOLE", "OPENCV_FISHEYE"])
 @pytest.mark.parametrize("scale", [0.5, 0.25, 2.0])
 def test_the_intrinsics_of_an_image_of_another_size_are_named_with_the_factor(model: str, scale: float) -> None:
@@ -303,16 +272,9 @@ def test_the_intrinsics_of_an_image_of_another_size_are_named_with_the_factor(mo
     assert float(text.rpartition(" ")[2]) == pytest.approx(scale, rel=0.1)
 
 
-@pytest.mark.parametrize(
-    ("size", "centre"), [((1242, 375), (609, 173)), ((1600, 900), (816, 491)), ((1920, 886), (961, 587))]
-)
-def test_intrinsics_of_whole_and_cropped_images_are_not_doubted(
-    size: tuple[int, int], centre: tuple[float, float]
-) -> None:
-    assert centre_remark(Camera.pinhole(700, 700, *centre, *size)) == ()
-
-
-def test_a_principal_point_outside_the_image_is_named_without_a_factor_if_the_axes_differ() -> None:
+def test_a_centre_outside_the_image_is_named_without_a_factor_if_axes_differ_and_no_other_is_doubted() -> None:
+    for size, centre in (((1242, 375), (609, 173)), ((1600, 900), (816, 491)), ((1920, 886), (961, 587))):
+        assert centre_remark(Camera.pinhole(700, 700, *centre, *size)) == ()
     (text,) = centre_remark(Camera.pinhole(700, 700, 700, 190, 640, 375))
     assert text.startswith("the principal point (700, 190) is outside the image of 640x375 px")
     assert text.endswith("scale fx, fy, cx, cy with the image")

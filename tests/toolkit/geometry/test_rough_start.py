@@ -57,9 +57,7 @@ def test_a_camera_that_is_not_turned_has_a_level_horizon_with_the_sky_above() ->
         right, down, _ = rotation(look)
         assert np.isclose(right[2], 0), look
         assert down[2] < 0, look
-
-
-def test_a_camera_turned_clockwise_has_its_right_side_below() -> None:
+    # Turned clockwise it has its right side below.
     assert np.allclose(rotation("forward, turned 90 deg clockwise")[0], [0, 0, -1])
     assert np.allclose(rotation("forward, turned 90 deg counterclockwise")[0], [0, 0, 1])
     upside_down = rotation("forward, upside down")

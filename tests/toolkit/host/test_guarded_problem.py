@@ -276,11 +276,7 @@ def fails(*_: Any) -> Any:
         (fails, lambda judge: None, "raised RuntimeError while making its judge"),
         (lambda *_: 3, lambda judge: None, "judge returned int; expected p2o.Judge"),
         (lambda *_: OwnJudge(costs=fails), lambda judge: judge.costs(POSES), "raised RuntimeError while judging poses"),
-        (
-            lambda *_: OwnJudge(costs=lambda p: [0.0]),
-            lambda judge: judge.costs(POSES),
-            r"shape \(1,\); expected \(3,\)",
-        ),
+        (lambda *_: OwnJudge(costs=lambda p: [0.0]), lambda judge: judge.costs(POSES), r"shape \(1,\); .* \(3,\)"),
         (lambda *_: OwnJudge(costs=lambda p: [np.nan] * 3), lambda judge: judge.costs(POSES), "returned NaN"),
         (lambda *_: OwnJudge(lead=fails), lambda judge: judge.lead(0.0, 1.0), "raised RuntimeError while comparing"),
         (lambda *_: OwnJudge(on=fails), lambda judge: judge.on([]), "raised RuntimeError while moving its judge"),

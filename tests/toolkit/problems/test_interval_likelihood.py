@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from p2o import Camera, CloudEdges, CloudFeatures, ImageEdges, ImageFeatures, Side, View, pose_error, se3
-from p2o.problems.interval_likelihood import IntervalLikelihood, integral_of_edges, ring_step_deg
+from p2o.problems.interval_likelihood import IntervalLikelihood, ring_step_deg
 from scipy.stats import norm
 
 from tests import edge_scene
@@ -62,10 +62,10 @@ def test_an_interval_without_length_has_the_likelihood_of_a_point() -> None:
 def test_only_image_edges_of_the_same_side_count() -> None:
     view = one_interval(Side.UPPER, 20.0)
     other = replace(view.image_edges, side=np.full(len(view.image_edges), Side.BOTTOM, np.int8))
-    view = replace(view, image=ImageFeatures(other))
-    likelihood = IntervalLikelihood.of([view], np.eye(4), SIGMA_PX)
-    assert likelihood.points == 0
-    assert likelihood(np.eye(4)[None]) == [0.0]
+    for edges in (other, ImageEdges.empty()):
+        likelihood = IntervalLikelihood.of([replace(view, image=ImageFeatures(edges))], np.eye(4), SIGMA_PX)
+        assert likelihood.points == 0
+        assert likelihood(np.eye(4)[None]) == [0.0]
 
 
 def test_intervals_outside_of_the_image_count_as_randomly_aligned() -> None:
@@ -88,13 +88,6 @@ def test_edges_of_one_outline_count_as_the_root_of_their_number() -> None:
     nine = replace(view, cloud=CloudFeatures(view.cloud_edges.select(np.zeros(9, int))))
     one, all_of_them = (IntervalLikelihood.of([its], np.eye(4), SIGMA_PX)(np.eye(4)[None]) for its in (view, nine))
     np.testing.assert_allclose(all_of_them, 3 * one)
-
-
-def test_the_integral_of_an_image_without_edges_is_zero() -> None:
-    view = replace(one_interval(Side.LEFT, 5.0), image=ImageFeatures(ImageEdges.empty()))
-    integral = integral_of_edges(view, Side.LEFT, SIGMA_PX)
-    assert integral.shape == SIZE  # transposed: it integrates along rows
-    assert not integral.any()
 
 
 @pytest.mark.parametrize("camera", [edge_scene.PINHOLE, edge_scene.FISHEYE], ids=lambda c: c.model)

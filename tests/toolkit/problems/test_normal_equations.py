@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from p2o import se3
-from p2o.problems.normal_equations import AXES, covariance, linearise, normal_equations
+from p2o.problems.normal_equations import AXES, covariance, linearise, normal_equations, why_singular
 from p2o_plugins.solve import lm
 
 from tests.edge_scene import TRUTH
@@ -19,14 +19,14 @@ SOLVE = lm.METHOD.build(lm.LmOptions())
 @pytest.mark.parametrize("outliers", [0.0, 0.15])
 def test_the_covariance_foretells_the_scatter_of_repeated_solutions(outliers: float) -> None:
     squares = []
-    for seed in range(60):
+    for seed in range(40):
         problem = pairs(seed, noise_px=0.7, outliers=outliers)
         problem = replace(problem, weight=np.ones(len(problem)))
         solution = SOLVE(problem, NEAR)
         error = se3.log(TRUTH @ se3.inverse(solution.camera_from_lidar))
         squares.append(error @ np.linalg.solve(solution.covariance, error))
-    # Squared errors in units of the covariance follow chi-square of 6; the mean of 60 has a deviation of 0.45.
-    assert np.mean(squares) == pytest.approx(6.0, abs=1.4)
+    # Squared errors in units of the covariance follow chi-square of 6; the mean of 40 has a deviation of 0.55.
+    assert np.mean(squares) == pytest.approx(6.0, abs=1.6)
 
 
 def test_half_the_noise_gives_half_the_deviations() -> None:
@@ -64,8 +64,6 @@ def test_residuals_beyond_an_image_are_constant() -> None:
 
 @pytest.mark.parametrize("axis", range(6))
 def test_a_direction_without_effect_is_named(axis: int) -> None:
-    from p2o.problems.normal_equations import why_singular
-
     problem = pairs()
     residuals, jacobian = linearise(problem, TRUTH)
     jacobian[:, axis] = 0.0
@@ -74,8 +72,6 @@ def test_a_direction_without_effect_is_named(axis: int) -> None:
 
 
 def test_two_unknowns_that_undo_each_other_are_named_together() -> None:
-    from p2o.problems.normal_equations import why_singular
-
     problem = pairs()
     residuals, jacobian = linearise(problem, TRUTH)
     depth = se3.apply(TRUTH, problem.xyz)[:, 2].mean()

@@ -55,12 +55,6 @@ def test_a_figure_that_is_described_in_one_place_is_in_json_terminal_page_and_st
     assert ("glare", "blinded 0.125 px of the image") in figure_lines(stored.figures)
 
 
-def test_names_of_figures_are_their_own_and_no_fields_of_rows() -> None:
-    names = [figure.name for figure in FIGURES]
-    assert len(set(names)) == len(names)
-    assert not set(names) & {"predicted", *METRICS}
-
-
 def test_a_negative_difference_is_worded_without_a_sign() -> None:
     lower = line("next best", rival=Rival(-3.04, "edges", 1.0, 0.1))
     assert lower.endswith("cost lower by 3.0 edges")
@@ -69,7 +63,10 @@ def test_a_negative_difference_is_worded_without_a_sign() -> None:
     assert "0.25 px less at the truth" in costs
 
 
-def test_every_figure_is_worded_by_itself_or_by_another_one() -> None:
+def test_every_figure_has_a_name_of_its_own_and_is_worded_by_itself_or_by_another_one() -> None:
+    names = [figure.name for figure in FIGURES]
+    assert len(set(names)) == len(names)
+    assert not set(names) & {"predicted", *METRICS}, "names of fields of rows"
     for figure in FIGURES:
         others = " ".join(other.text for other in FIGURES if other is not figure)
         assert figure.text or f"{{{figure.name}" in others, figure.name
