@@ -154,7 +154,7 @@ def test_nothing_is_left_of_a_file_that_cannot_be_written(tmp_path: Path, monkey
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
 
 
-def test_the_hash_of_an_image_is_that_of_its_bytes_and_camera() -> None:
+def test_hashes_tell_images_shapes_types_and_borders_apart() -> None:
     hashes = {content_hash(IMAGE)}
     assert content_hash(Image(IMAGE.rgb.copy(), IMAGE.camera)) in hashes
     changed = IMAGE.rgb.copy()
@@ -167,9 +167,6 @@ def test_the_hash_of_an_image_is_that_of_its_bytes_and_camera() -> None:
     ]
     hashes |= {content_hash(image) for image in others}
     assert len(hashes) == 5
-
-
-def test_hashes_tell_shapes_types_and_borders_apart() -> None:
     values = [["ab", "c"], ["a", "bc"], ["abc"], 1, 1.0, True, "1", None, {"a": 1}, [["a", 1]], np.zeros((2, 3))]
     values += [np.zeros((3, 2)), np.zeros((2, 3), np.float32), [0.0] * 6]
     assert len({content_hash(value) for value in values}) == len(values)
@@ -220,9 +217,7 @@ def test_a_file_that_names_what_is_no_dataclass_of_ours_counts_as_none(tmp_path:
 
 
 @pytest.mark.parametrize("package", ["acme_never_loaded", "p2o_plugin_file_never_loaded"])
-def test_a_file_that_names_a_module_imports_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str
-) -> None:
+def test_no_module_that_a_file_names_is_imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str) -> None:
     """The module is there and has the type; it is not taken because nobody else has imported it."""
     (tmp_path / f"{package}.py").write_text(CORNERS)
     monkeypatch.syspath_prepend(tmp_path)
@@ -232,9 +227,7 @@ def test_a_file_that_names_a_module_imports_nothing(
     assert package not in sys.modules
 
 
-def test_features_of_a_plugins_own_type_are_kept_while_the_plugin_is_loaded(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_types_of_a_plugin_are_kept_while_it_is_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "p2o_plugin_file_corners.py").write_text(CORNERS)
     monkeypatch.syspath_prepend(tmp_path)
     module = importlib.import_module("p2o_plugin_file_corners")

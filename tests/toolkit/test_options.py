@@ -55,11 +55,15 @@ def test_the_first_fault_is_told_with_its_path_and_the_number_of_others() -> Non
     assert "tuple[" not in told(either=[1, "x"]).partition(";")[0], "a name that pydantic gives to an alternative"
 
 
-def test_a_bound_is_told_apart_from_a_value_of_another_form() -> None:
+def test_a_bound_is_told_apart_from_another_form_and_faults_of_the_whole_do_not_show_all_of_it() -> None:
     assert told(rule="firm") == "rule is not valid; expected 'hard' or 'soft'; got firm"
     assert told(name="").startswith("name is not valid; expected string should match")
     assert told(name="odd") == "name is out of bounds; expected a name that is not odd; got odd"
     assert told(name="").endswith("got nothing")
+    assert told(crop={"height": 13}) == "the value is out of bounds; expected no crop of height 13"
+    assert told("w", crop={"height": 13}) == "w is out of bounds; expected no crop of height 13"
+    with pytest.raises(InputError, match="the value is not valid; expected a valid dictionary"):
+        validated(Words, [1])
 
 
 def test_what_is_missing_is_told_and_good_values_make_the_model() -> None:
@@ -85,10 +89,3 @@ def test_an_unknown_name_is_told_with_those_of_its_own_table(values: dict[str, A
     assert caught.value.kind == "w option"
     with pytest.raises(UnknownNameError, match=r"a\.yaml: unknown key"):
         validated(Words, {"name": "a", **values}, where="a.yaml")
-
-
-def test_faults_of_the_whole_do_not_show_all_of_it() -> None:
-    assert told(crop={"height": 13}) == "the value is out of bounds; expected no crop of height 13"
-    assert told("w", crop={"height": 13}) == "w is out of bounds; expected no crop of height 13"
-    with pytest.raises(InputError, match="the value is not valid; expected a valid dictionary"):
-        validated(Words, [1])

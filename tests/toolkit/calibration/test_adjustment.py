@@ -32,7 +32,7 @@ def as_measured(problem: PointToLine, motions: tuple[EgoMotion, ...] = MOTIONS) 
     return replace(problem, xyz=xyz, time_s=time_s)
 
 
-def test_exact_pairs_tell_motions_and_pose() -> None:
+def test_exact_pairs_tell_motions_and_pose_and_without_times_the_motion_stays_what_is_expected() -> None:
     problem = as_measured(pairs(count=1500))
     found = fit_with_nuisances(problem, NEAR, fits_cameras=False, prior=PRIOR)
     for fit, true in zip(found.motions, MOTIONS, strict=True):
@@ -46,6 +46,11 @@ def test_exact_pairs_tell_motions_and_pose() -> None:
     spoilt = fit_with_nuisances(problem, NEAR, fits_cameras=False)  # by motion that nobody asks for
     assert spoilt.motions == ()
     assert pose_error(spoilt.camera_from_lidar, TRUTH).translation_m > 0.01
+    # Without times the motion stays what is expected.
+    found = fit_with_nuisances(pairs(), NEAR, prior=PRIOR)
+    for fit in found.motions:
+        assert (fit.motion.speed_m_s, fit.motion.turn_rad_s) == pytest.approx((8.0, 0.0))
+        assert np.sqrt(np.diag(fit.covariance)) == pytest.approx([8.0, 0.1], rel=1e-6)
 
 
 def test_sweeps_of_one_drive_may_all_differ_from_the_expected_speed_but_one_alone_is_as_stated() -> None:
@@ -73,13 +78,6 @@ def test_points_that_are_corrected_already_give_the_same_motions() -> None:
     assert pose_error(once.camera_from_lidar, again.camera_from_lidar).translation_m < 5e-4
 
 
-def test_without_times_the_motion_stays_what_is_expected() -> None:
-    found = fit_with_nuisances(pairs(), NEAR, prior=PRIOR)
-    for fit in found.motions:
-        assert (fit.motion.speed_m_s, fit.motion.turn_rad_s) == pytest.approx((8.0, 0.0))
-        assert np.sqrt(np.diag(fit.covariance)) == pytest.approx([8.0, 0.1], rel=1e-6)
-
-
 def test_motion_and_camera_are_told_apart() -> None:
     error = RadialError(-0.004, 0.012)
     exact = pairs(cameras=(error.corrected(PINHOLE),) * 2, count=3000)
@@ -90,16 +88,22 @@ def test_motion_and_camera_are_told_apart() -> None:
     assert [fit.motion.speed_m_s for fit in found.motions] == pytest.approx([15.0, -1.0], abs=0.4)
 
 
-def test_what_is_unknown_as_well_makes_the_pose_less_sure() -> None:
+def test_motions_or_an_offset_that_are_unknown_as_well_make_the_place_along_the_road_less_sure() -> None:
     standing = EgoMotion()
     problem = as_measured(pairs(count=400, noise_px=0.7), (standing, standing))
     alone = fit_with_nuisances(problem, TRUTH, fits_cameras=False).covariance
     more = fit_with_nuisances(problem, TRUTH, fits_cameras=False, prior=MotionPrior(standing, 8.0, 0.1)).covariance
     assert np.linalg.eigvalsh(more - 0.95 * alone).min() > 0
     assert more[5, 5] > 1.5 * alone[5, 5]  # along the road, the way it drives
+    problem = pairs(count=300, cameras=FOUR, noise_px=0.7)
+    alone = fit_with_nuisances(problem, NEAR, fits_cameras=False)
+    both = fit_with_nuisances(problem, NEAR, fits_cameras=False, twists=SPEEDS, time=TimeFit())
+    ratio = np.diag(both.covariance) / np.diag(alone.covariance)
+    assert ratio[5] > 1.5, "z of the camera is along the road"
+    assert ratio[4] < 1.3
 
 
-def test_with_nothing_else_unknown_the_pose_is_that_of_the_solver() -> None:
+def test_with_nothing_else_unknown_the_pose_is_that_of_the_solver_and_few_places_give_no_covariance() -> None:
     problem = pairs(count=400, noise_px=0.7, outliers=0.05)
     solution = built(LM)(problem, NEAR)
     found = fit_with_nuisances(problem, solution.camera_from_lidar, fits_cameras=False)
@@ -109,6 +113,9 @@ def test_with_nothing_else_unknown_the_pose_is_that_of_the_solver() -> None:
     ratio = np.diag(found.covariance) / np.diag(solution.covariance)
     assert ((ratio > 0.5) & (ratio < 2.0)).all()
     assert found.step_px < 1e-3
+    problem = pairs(count=400)
+    one = replace(problem, centre=np.tile([600.0, 180.0], (len(problem), 1)), frame=np.zeros(len(problem), np.int64))
+    assert fit_with_nuisances(one, TRUTH, fits_cameras=False).covariance is None
 
 
 @pytest.mark.parametrize("together", [False, True])
@@ -132,12 +139,6 @@ def test_the_covariance_foretells_the_scatter_also_of_pairs_that_err_together(to
     # Chi-square of 6 has the mean 6; that of the solver takes pairs as independent.
     assert 3.5 < np.mean(squares) < 9.0
     assert (np.mean(alone) > 12.0) == together
-
-
-def test_pairs_from_few_places_have_no_covariance() -> None:
-    problem = pairs(count=400)
-    one = replace(problem, centre=np.tile([600.0, 180.0], (len(problem), 1)), frame=np.zeros(len(problem), np.int64))
-    assert fit_with_nuisances(one, TRUTH, fits_cameras=False).covariance is None
 
 
 def test_the_stated_deviation_is_more_than_noise_causes_and_less_than_was_known() -> None:
@@ -243,12 +244,3 @@ def test_the_stated_deviation_of_an_offset_covers_frames_that_err_each_by_itself
         stated.append(found.sigma_s)
     ratio = np.sqrt(np.mean(np.square(errors))) / np.mean(stated)
     assert 0.4 < ratio < 1.4
-
-
-def test_an_offset_that_is_unknown_as_well_makes_the_place_along_the_road_less_sure() -> None:
-    problem = pairs(count=300, cameras=FOUR, noise_px=0.7)
-    alone = fit_with_nuisances(problem, NEAR, fits_cameras=False)
-    both = fit_with_nuisances(problem, NEAR, fits_cameras=False, twists=SPEEDS, time=TimeFit())
-    ratio = np.diag(both.covariance) / np.diag(alone.covariance)
-    assert ratio[5] > 1.5, "z of the camera is along the road"
-    assert ratio[4] < 1.3

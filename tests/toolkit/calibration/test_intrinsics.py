@@ -121,15 +121,12 @@ def test_an_error_too_small_to_be_named_is_part_of_the_predicted_error(y_px: flo
     assert 0.3 * absorbed_deg < pitch_deg < absorbed_deg
 
 
-def test_parameters_that_are_not_fitted_stay_exactly_zero() -> None:
+def test_parameters_that_are_not_fitted_stay_exactly_zero_and_without_edges_there_is_no_estimate() -> None:
     found = estimate_intrinsics(views(RadialError(focal=0.03)), AWAY, (True, False, False, False))
     assert found is not None
     error = found.fits[0].error
     assert (error.radial, error.x_px, error.y_px) == (0.0, 0.0, 0.0)
     assert error.focal == pytest.approx(0.03, abs=0.003)
-
-
-def test_without_edges_there_is_no_estimate() -> None:
     [view] = views(RadialError())[:1]
     none = replace(view, cloud=type(view.cloud)(view.cloud_edges.select(np.zeros(0, np.int64))))
     assert estimate_intrinsics([none], TRUTH) is None

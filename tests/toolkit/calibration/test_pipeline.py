@@ -204,15 +204,13 @@ def singular_at(*calls: int):
     return one
 
 
-def test_a_better_pose_that_its_own_pairs_do_not_determine_is_refused_and_the_start_comes_back() -> None:
+def test_a_better_pose_that_its_own_pairs_do_not_determine_is_refused_but_not_one_before_a_round_that_fails() -> None:
     result = replace(pipeline(initializer=given), solver=singular_at(1, 2)).solve([edge_scene.view()], start())
     assert (result.status, result.reason) == (Status.NOT_OBSERVABLE, "the pairs do not determine roll")
     assert result.rounds[0].accepted
     assert result.verdict.trust is Trust.REFUSED
     np.testing.assert_array_equal(result.camera_from_lidar, result.start)
-
-
-def test_a_later_round_that_fails_does_not_take_back_a_pose_that_its_pairs_determine() -> None:
+    # A later round that fails does not take back a pose that its pairs determine.
     result = replace(pipeline(initializer=given), solver=singular_at(1)).solve([edge_scene.view()], start())
     assert result.status is Status.ROUNDS_SPENT
     assert result.reason == "the rounds ended early: the pairs do not determine roll"
@@ -453,7 +451,7 @@ def test_pairs_from_a_handful_of_places_do_not_tell_the_accuracy() -> None:
     assert result.accuracy is None
 
 
-def test_a_scene_that_fits_in_two_places_is_called_ambiguous() -> None:
+def test_a_scene_that_fits_in_two_places_is_called_ambiguous_and_a_clear_one_is_not() -> None:
     # The same outlines twice, three degrees apart: which of the two the sweep belongs to cannot be told.
     away = se3.exp(np.array([0.0, np.radians(3.0), 0.0, 0, 0, 0]))
     view = edge_scene.view(boxes=12, seed=4)
@@ -469,10 +467,6 @@ def test_a_scene_that_fits_in_two_places_is_called_ambiguous() -> None:
     # However sharp the edges: which place is right cannot be told, and the predicted error contains both.
     assert result.accuracy.rotation_deg > 1.0
     assert not result.reaches(1.5, 1.0)
-
-
-def test_a_clear_scene_is_not_ambiguous() -> None:
-    away = se3.exp(np.array([0.0, np.radians(3.0), 0.0, 0, 0, 0]))
     plan = replace(pipeline(), initializer=lambda views, start: [away @ TRUTH, TRUTH])
     result = plan.solve([edge_scene.view()], start(0, 1.0))
     assert pose_error(result.camera_from_lidar, TRUTH).rotation_deg < 0.02
@@ -533,14 +527,13 @@ def test_rings_that_are_far_apart_are_calibrated_by_their_intervals_and_the_resu
     assert error.translation_m < result.accuracy.translation_m_95 < 0.2
 
 
-def test_dense_rings_give_the_same_bytes_with_and_without_the_option() -> None:
+def test_dense_rings_give_the_same_bytes_with_and_without_the_option_and_no_edge_without_direction_is_an_interval() -> (
+    None
+):
     view = sparse_view(0, 0.4)
     results = [pipeline(interval_deg=angle).solve([view], start()) for angle in (0.75, 90.0)]
     np.testing.assert_array_equal(results[0].camera_from_lidar, results[1].camera_from_lidar)
     assert results[0].accuracy == results[1].accuracy
-
-
-def test_without_directions_no_edge_is_an_interval() -> None:
     view = sparse_view(0).without_sides()
     result = pipeline(directed=False, matcher=nearest).solve([view], start())
     assert result.judged is None or result.judged.judge == DIRECTED

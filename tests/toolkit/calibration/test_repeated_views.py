@@ -69,12 +69,16 @@ def test_copies_of_a_view_cost_what_the_view_costs() -> None:
     assert costs[0] == pytest.approx(costs[1], rel=1e-3)
 
 
-def test_copies_of_a_view_have_its_likelihood_and_its_covariance() -> None:
+def test_copies_of_a_view_have_its_likelihood_and_covariance_and_a_judge_is_led_by_the_same_edges() -> None:
     first, second = places(2, sparse=True)
     two, copies = (weighted(views, TRUTH) for views in ([first, second], [first, *[second] * 8]))
     of_two, of_copies = (IntervalLikelihood.of(views, TRUTH, SIGMA_PX) for views in (two, copies))
     assert of_copies(POSES) == pytest.approx(of_two(POSES), rel=1e-3)
     assert of_copies.covariance(TRUTH) == pytest.approx(of_two.covariance(TRUTH), rel=0.02, abs=1e-8)
+    first, second = places(2)
+    judges = [DirectedJudge.of(weighted(views, TRUTH), TRUTH, [TRUTH], 5.0) for views in ([first, second], [first] * 9)]
+    leads = [judge.lead(*judge.costs(POSES[:2]))[0] for judge in judges]
+    assert leads[1] < leads[0]
 
 
 def test_copies_of_a_view_do_not_reduce_the_covariance_of_pairs() -> None:
@@ -128,22 +132,12 @@ def test_a_judge_and_costs_of_other_methods_see_one_frame_of_each_view() -> None
         assert received.pop() == count
 
 
-def test_a_subset_of_views_is_even_over_their_weight() -> None:
+def test_a_subset_of_views_is_even_over_their_weight_and_frames_without_edges_have_one() -> None:
     assert evenly_chosen(np.ones(10), 5).tolist() == [0, 2, 4, 6, 8]
     chosen = evenly_chosen(np.r_[np.ones(10), np.full(90, 1 / 45)], 12)
     assert chosen[:10].tolist() == list(range(10))
     assert 11 <= len(chosen) <= 12
-
-
-def test_frames_without_edges_have_a_weight_and_a_scene() -> None:
     nothing = np.zeros((0, 3)), np.zeros(0, np.int8), np.zeros(0, np.int64)
     distinct = DistinctViews.of(*nothing, 3)
     assert distinct.weights.tolist() == [1.0] * 3
     assert distinct.scenes.tolist() == [0, 1, 2]
-
-
-def test_a_judge_of_repeated_views_is_led_by_the_same_edges() -> None:
-    first, second = places(2)
-    judges = [DirectedJudge.of(weighted(views, TRUTH), TRUTH, [TRUTH], 5.0) for views in ([first, second], [first] * 9)]
-    leads = [judge.lead(*judge.costs(POSES[:2]))[0] for judge in judges]
-    assert leads[1] < leads[0]

@@ -7,15 +7,12 @@ import pytest
 from p2o.confidence.watch import autocorrelation, beside_mean, charts, innovations, limit_for, mean_run
 
 
-def test_a_chart_adds_what_is_above_its_slack_and_never_falls_below_zero() -> None:
+def test_a_chart_adds_what_is_above_its_slack_never_falls_below_zero_and_leaves_out_what_is_missing() -> None:
     seen = charts(np.array([[1.0], [1.0], [-3.0], [2.0]]), slack=0.25)
     np.testing.assert_allclose(seen.up[:, 0], [0.75, 1.5, 0.0, 1.75])
     np.testing.assert_allclose(seen.down[:, 0], [0.0, 0.0, 2.75, 0.5])
     np.testing.assert_array_equal(seen.up_since[:, 0], [0, 0, 3, 3])
     np.testing.assert_array_equal(seen.down_since[:, 0], [1, 2, 2, 2])
-
-
-def test_a_value_that_is_missing_leaves_a_sum_as_it_is() -> None:
     seen = charts(np.array([[1.0], [np.nan], [1.0]]), slack=0.0)
     np.testing.assert_allclose(seen.up[:, 0], [1.0, 1.0, 2.0])
     assert seen.up_since[2, 0] == 0

@@ -31,14 +31,11 @@ def frame(
     return SeenEdges(name, PointToLine(seen, uv, normal, *same, sigma_px=np.ones(count)), POSE)
 
 
-def test_frames_rich_in_edges_come_before_those_that_see_one_direction_only() -> None:
+def test_frames_rich_in_edges_and_those_that_see_what_others_lack_come_before_those_of_one_direction() -> None:
     walls = [frame(f"wall {i}", LEVEL, seed=i, count=60) for i in range(4)]
     rich = [frame(f"rich {i}", (*UPRIGHT, *LEVEL), seed=10 + i) for i in range(2)]
     steps = choose([*walls, *rich], count=2)
     assert {step.name for step in steps} == {"rich 0", "rich 1"}
-
-
-def test_a_frame_that_sees_what_the_others_lack_comes_before_more_of_the_same() -> None:
     level = [frame(f"level {i}", LEVEL, seed=i) for i in range(4)]
     poles = frame("poles", UPRIGHT, seed=20, count=60)
     assert "poles" in {step.name for step in choose([*level, poles], count=2)}
@@ -86,15 +83,12 @@ def test_what_stays_open_is_named_with_its_reason() -> None:
     assert "level edges" in shortage(poles, words)
 
 
-def test_the_information_does_not_depend_on_how_many_pairs_a_place_has() -> None:
+def test_the_information_does_not_depend_on_how_many_pairs_a_place_has_and_no_pair_gives_none() -> None:
     one = frame("one", (*UPRIGHT, *LEVEL), seed=1, count=40)
     names = ("xyz", "centre", "normal", "weight", "side", "frame", "sigma_px")
     doubled = {name: np.concatenate([getattr(one.problem, name)] * 2) for name in names}
     twice = SeenEdges("twice", PointToLine(**doubled, cameras=(CAMERA,)), POSE)
     np.testing.assert_allclose(twice.by_place, one.by_place, rtol=1e-9)
-
-
-def test_frames_without_any_pair_give_no_likely_error() -> None:
     empty = SeenEdges("empty", PointToLine.empty((CAMERA,)), POSE)
     assert [step.accuracy for step in choose([empty])] == [None]
     assert choose([empty, frame("one", (*UPRIGHT, *LEVEL), seed=1)])[0].name == "one"

@@ -55,15 +55,6 @@ def test_exact_results_give_the_truth_whatever_their_weights() -> None:
     assert "most of all back" in common.verdict.why
 
 
-def test_two_opinions_are_weighted_by_the_inverse_of_their_variances() -> None:
-    """1 m apart along x, variances 1 and 3: the mean lies at 1/4, its variance is 3/4, and chi-square 1 / (1 + 3)."""
-    near, far = (Opinion("c", se3.make(translation=[x, 0, 0]), v * np.eye(6)) for x, v in ((0, 1), (1, 3)))
-    mean = Fusion.of([near, far])
-    np.testing.assert_allclose(mean.body_from_lidar, se3.make(translation=[0.25, 0, 0]), atol=1e-12)
-    np.testing.assert_allclose(mean.covariance, 0.75 * np.eye(6))
-    assert mean.chi_square == pytest.approx(0.25)
-
-
 def test_the_common_result_does_not_depend_on_the_choice_of_the_body_frame() -> None:
     rng = np.random.default_rng(3)
     noisy = results(*(SPREAD @ rng.normal(size=6) for _ in PLACES))
@@ -75,7 +66,7 @@ def test_the_common_result_does_not_depend_on_the_choice_of_the_body_frame() -> 
     assert there.accuracy.translation_m == pytest.approx(here.accuracy.translation_m, rel=1e-4)
 
 
-def test_where_results_scatter_as_they_say_chi_square_and_the_likely_error_are_right() -> None:
+def test_two_opinions_are_weighted_by_their_variances_and_results_that_scatter_so_have_the_right_chi_square() -> None:
     rng = np.random.default_rng(5)
     drawn = [rig_result(results(*(SPREAD @ rng.normal(size=6) for _ in PLACES)), PLACES) for _ in range(200)]
     # 12 degrees of freedom: mean 12, variance 24; the mean of 200 is within 4 deviations.
@@ -86,6 +77,12 @@ def test_where_results_scatter_as_they_say_chi_square_and_the_likely_error_are_r
     assert 0.5 < np.mean(within) < 0.85
     single = deviations(SPREAD @ SPREAD.T, PLACES["front"] @ TRUTH)[1]
     assert np.sqrt(np.mean([se3.distance_m(step) ** 2 for step in off])) < 0.7 * single, "better than one alone"
+    # 1 m apart along x, variances 1 and 3: the mean lies at 1/4, its variance is 3/4, and chi-square 1 / (1 + 3).
+    near, far = (Opinion("c", se3.make(translation=[x, 0, 0]), v * np.eye(6)) for x, v in ((0, 1), (1, 3)))
+    mean = Fusion.of([near, far])
+    np.testing.assert_allclose(mean.body_from_lidar, se3.make(translation=[0.25, 0, 0]), atol=1e-12)
+    np.testing.assert_allclose(mean.covariance, 0.75 * np.eye(6))
+    assert mean.chi_square == pytest.approx(0.25)
 
 
 def test_a_camera_that_contradicts_the_fixed_transforms_is_named_and_widens_the_likely_error() -> None:
@@ -98,7 +95,7 @@ def test_a_camera_that_contradicts_the_fixed_transforms_is_named_and_widens_the_
     assert common.accuracy.rotation_deg > 2 * agreeing.accuracy.rotation_deg
 
 
-def test_the_likely_error_weighs_more_than_the_noise_of_pairs() -> None:
+def test_the_likely_error_weighs_more_than_the_noise_of_pairs_and_leaves_no_direction_out() -> None:
     """Both cameras say the same covariance, but the edges of the second agree little: it is likely 30 times as bad."""
     accuracies = {"front": Accuracy(0.1, 0.05, 0.2, 0.1), "left": Accuracy(3.0, 1.5, 6.0, 3.0)}
     said = {
@@ -108,9 +105,6 @@ def test_the_likely_error_weighs_more_than_the_noise_of_pairs() -> None:
     common = rig_result(said, {name: PLACES[name] for name in said})
     assert se3.distance_m(se3.inverse(TRUTH) @ common.body_from_lidar) < 0.02
     assert common.accuracy.translation_m < 0.051, "no worse than the better one"
-
-
-def test_a_covariance_is_brought_to_the_likely_error_and_leaves_no_direction_out() -> None:
     needle = np.diag([1e-3, 1e-3, 1e-3, 1e-6, 0.02, 0.02])
     own = result(PLACES["front"] @ TRUTH, needle, accuracy=Accuracy(0.4, 0.1, 0.9, 0.2))
     opinion = Opinion.of("front", own, PLACES["front"])

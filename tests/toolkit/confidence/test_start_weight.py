@@ -26,13 +26,10 @@ def spread(turn_deg: float, shift_m: float) -> np.ndarray:
     return np.diag(np.repeat([np.radians(turn_deg), shift_m], 3) ** 2)
 
 
-def test_what_the_edges_tell_surely_stays() -> None:
+def test_what_the_edges_tell_surely_stays_and_a_direction_that_they_leave_open_follows_the_start() -> None:
     found = with_start(POSE, spread(1e-4, 1e-6), away((1, -1, 1), (0.05, 0.05, -0.05)), SIGMA, DEFAULT_ERROR_MODEL)
     assert found is not None
     np.testing.assert_allclose(found[0], POSE, atol=1e-6)
-
-
-def test_a_direction_that_the_edges_leave_open_follows_the_start_and_no_other() -> None:
     likely = spread(0.01, 0.001)
     likely[4, 4] = 100.0
     found = with_start(POSE, likely, away((0, 0, 0), (0.08, 0.08, 0.08)), SIGMA, DEFAULT_ERROR_MODEL)
@@ -73,9 +70,7 @@ def test_errors_become_smaller_where_both_are_as_good_as_they_say() -> None:
         pytest.param(np.full((6, 6), np.nan), POSE, id="NaN"),
     ],
 )
-def test_a_start_that_contradicts_the_edges_and_covariances_that_say_nothing_change_nothing(
-    likely: np.ndarray, start: np.ndarray
-) -> None:
+def test_contradictions_and_empty_covariances_change_nothing(likely: np.ndarray, start: np.ndarray) -> None:
     assert with_start(POSE, likely, start, SIGMA, DEFAULT_ERROR_MODEL) is None
 
 

@@ -38,11 +38,15 @@ def test_the_worst_reason_decides_the_word() -> None:
     assert Verdict((twice, twice)).having(twice).why == "yaw is not observable"
 
 
-def test_pairs_from_too_few_places_are_not_trusted_however_well_edges_meet() -> None:
+def test_pairs_from_too_few_places_or_with_a_direction_that_does_not_agree_are_not_trusted() -> None:
     for places in (0, 6, 11):
         verdict = verdict_of(GOOD, None, (), OPTIONS, places=places)
         assert (verdict.trust, verdict.reasons[0].doubt) == (Trust.DOUBTFUL, Doubt.TOO_FEW_PLACES)
     assert verdict_of(GOOD, None, (), OPTIONS, places=12).trusted
+    verdict = verdict_of(replace(GOOD, least_odds=1.4, least_side="U"), None, (), OPTIONS)
+    assert (verdict.trust, verdict.reasons[0].doubt) == (Trust.DOUBTFUL, Doubt.LITTLE_AGREEMENT)
+    assert "background above" in verdict.why
+    assert verdict_of(replace(GOOD, least_odds=2.4, least_side="U"), None, (), OPTIONS).trusted
 
 
 def test_the_same_odds_are_worth_less_in_few_places() -> None:
@@ -58,13 +62,6 @@ def test_the_same_odds_are_worth_less_in_few_places() -> None:
     assert much_of_little.strength > GOOD.strength
     assert not verdict_of(much_of_little, None, (), OPTIONS).trusted
     assert np.isnan(Agreement(0.0, 0.0, 0).strength)
-
-
-def test_one_direction_that_does_not_agree_makes_a_result_doubtful_and_is_named() -> None:
-    verdict = verdict_of(replace(GOOD, least_odds=1.4, least_side="U"), None, (), OPTIONS)
-    assert (verdict.trust, verdict.reasons[0].doubt) == (Trust.DOUBTFUL, Doubt.LITTLE_AGREEMENT)
-    assert "background above" in verdict.why
-    assert verdict_of(replace(GOOD, least_odds=2.4, least_side="U"), None, (), OPTIONS).trusted
 
 
 def test_what_may_be_far_off_by_its_own_word_is_doubtful() -> None:

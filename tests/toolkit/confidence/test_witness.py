@@ -37,14 +37,11 @@ def test_a_witness_confirms_a_right_pose_and_doubts_a_wrong_or_an_unsure_one() -
     assert [reason.text for reason in witnessed(told, views, OPTIONS).verdict.reasons] == ["own words"]
 
 
-def test_without_witnesses_a_claim_is_doubtful_and_its_own_reasons_stay() -> None:
+def test_without_witnesses_a_claim_is_doubtful_and_own_reasons_refusals_and_agreement_stay() -> None:
     own = replace(claimed(TRUTH), verdict=Verdict((Reason(Doubt.RIVAL_POSE, "two"),)))
     found = witnessed(own, [], OPTIONS)
     assert found.agreement is None
     assert [reason.doubt for reason in found.verdict.reasons] == [Doubt.RIVAL_POSE, Doubt.NOT_CHECKED]
-
-
-def test_what_is_refused_is_left_alone_and_so_is_an_own_agreement_without_other_edges() -> None:
     refused = claimed(TRUTH, Status.NOT_OBSERVABLE)
     own = replace(claimed(TRUTH), agreement=POOR, verdict=Verdict((Reason(Doubt.LITTLE_AGREEMENT, "own edges"),)))
     assert witnessed(refused, [edge_scene.view()], OPTIONS) is refused
@@ -92,9 +89,7 @@ def views() -> list[p2o.View]:
     return [edge_scene.view(boxes=60, seed=seed, noise_px=0.3, name=f"{seed}") for seed in (1, 2)]
 
 
-def test_a_pose_at_which_edges_meet_is_doubtful_where_they_would_meet_better_beside_it(
-    pipeline: Pipeline, views: list[p2o.View]
-) -> None:
+def test_a_pose_beside_a_better_one_is_doubtful(pipeline: Pipeline, views: list[p2o.View]) -> None:
     """Half a degree off in yaw, far more edges meet than by chance, though not left and right ones."""
     beside = claimed(se3.exp(np.array([0.0, np.radians(0.5), 0, 0, 0, 0])) @ TRUTH)
     [reason] = witnessed(beside, views, OPTIONS).verdict.reasons

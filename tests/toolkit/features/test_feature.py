@@ -54,18 +54,15 @@ def view(cloud: CloudFeatures) -> View:
     return View("v", PINHOLE, ImageFeatures(features=[GreyMap(np.ones((4, 4)))]), cloud)
 
 
-def test_a_kind_of_a_plugin_moves_with_the_others() -> None:
-    moved = view(CloudFeatures(EDGES, features=[POLES])).moved(MOVE)
-    np.testing.assert_allclose(moved.get("cloud-poles").foot, moved.cloud_edges.xyz)
-    np.testing.assert_allclose(moved.get("cloud-poles").axis[0], MOVE[:3, 2])
-
-
-def test_features_are_found_by_word_and_count_nothing_where_there_are_none() -> None:
+def test_features_are_found_by_word_and_count_nothing_where_there_are_none_and_those_of_plugins_move_along() -> None:
     seen = view(CloudFeatures(features=[POLES]))
     assert seen.get("cloud-poles") is POLES
     assert (seen.count("cloud-poles"), seen.count("image-grey"), seen.count("cloud-edges")) == (50, 16, 0)
     assert seen.get("cloud-edges") is None
     assert seen.cloud.words == {"cloud-poles"}
+    moved = view(CloudFeatures(EDGES, features=[POLES])).moved(MOVE)
+    np.testing.assert_allclose(moved.get("cloud-poles").foot, moved.cloud_edges.xyz)
+    np.testing.assert_allclose(moved.get("cloud-poles").axis[0], MOVE[:3, 2])
 
 
 def test_having_takes_the_place_of_the_same_kind_and_only_what_has_sides_forgets_them() -> None:

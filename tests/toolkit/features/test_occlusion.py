@@ -198,12 +198,17 @@ def test_a_board_in_front_of_a_slanted_plane_has_exactly_its_outline(camera: Cam
     np.testing.assert_array_equal(found, expected)
 
 
-def test_the_step_is_one_of_distance_not_of_depth() -> None:
+def test_the_step_is_one_of_distance_not_of_depth_and_a_relative_one_grows_with_distance() -> None:
     """A wall at right angles to the axis, far off the axis: depths are equal, distances are not."""
     z = np.full((1, 6), 100.0)
     camera = Camera.pinhole(100, 100, -300, 0, 6, 1)
     assert (occlusion_orders(z, camera, planes=False).east[0, :5] == 1).all()
     assert not occlusion_orders(z, camera).east.any()
+    camera = Camera.pinhole(1000, 1000, 2.5, 0, 6, 1)
+    near, far = np.array([[10.0] * 3 + [11.0] * 3]), np.array([[50.0] * 3 + [51.0] * 3])
+    for z, labels in ((near, 1), (far, 0)):
+        assert occlusion_orders(z, camera, relative_jump=0.05).east[0, 2] == labels
+        assert occlusion_orders(z, camera).east[0, 2] == 1
 
 
 def made_up_scene(seed: int, camera: Camera = CAMERAS["PINHOLE"]) -> np.ndarray:
@@ -307,14 +312,6 @@ def test_the_smallest_images_have_no_edges(shape: tuple[int, int]) -> None:
     camera = Camera.pinhole(10, 10, 0, 0, shape[1], shape[0])
     orders = occlusion_orders(np.full(shape, 3.0), camera, connectivity=8)
     assert len(edges_from_orders(orders)[0]) == 0
-
-
-def test_a_relative_threshold_grows_with_distance() -> None:
-    camera = Camera.pinhole(1000, 1000, 2.5, 0, 6, 1)
-    near, far = np.array([[10.0] * 3 + [11.0] * 3]), np.array([[50.0] * 3 + [51.0] * 3])
-    for z, labels in ((near, 1), (far, 0)):
-        assert occlusion_orders(z, camera, relative_jump=0.05).east[0, 2] == labels
-        assert occlusion_orders(z, camera).east[0, 2] == 1
 
 
 def test_pieces_are_counted_side_by_side_and_over_corners() -> None:

@@ -75,14 +75,7 @@ def test_what_is_no_file_with_content_is_named(tmp_path: Path, monkeypatch: pyte
     assert expanded("~") == Path.home()
 
 
-def test_naming_adds_a_place_only_where_none_is_given() -> None:
-    with pytest.raises(InputError, match=r"^a\.txt: wrong; expected 1; got 2; look$"), naming(Path("a.txt")):
-        raise InputError("wrong", expected=1, got=2, hint="look")
-    with pytest.raises(InputError, match=r"^b\.txt: wrong$"), naming(Path("a.txt")):
-        raise InputError("wrong", where="b.txt")
-
-
-def test_a_folder_is_listed_in_order_and_what_is_no_folder_is_named(tmp_path: Path) -> None:
+def test_a_folder_is_listed_in_order_what_is_no_folder_is_named_and_naming_adds_a_place_once(tmp_path: Path) -> None:
     for name in "bca":
         (tmp_path / name).touch()
     assert [path.name for path in listing(tmp_path, "frames")] == ["a", "b", "c"]
@@ -90,6 +83,10 @@ def test_a_folder_is_listed_in_order_and_what_is_no_folder_is_named(tmp_path: Pa
         listing(tmp_path / "a", "frames")
     with pytest.raises(InputError, match="a: the folder of frames is a file"):
         existing_folder(tmp_path / "a", "frames")
+    with pytest.raises(InputError, match=r"^a\.txt: wrong; expected 1; got 2; look$"), naming(Path("a.txt")):
+        raise InputError("wrong", expected=1, got=2, hint="look")
+    with pytest.raises(InputError, match=r"^b\.txt: wrong$"), naming(Path("a.txt")):
+        raise InputError("wrong", where="b.txt")
 
 
 def test_the_start_of_a_file_of_any_size_is_read_and_what_is_no_file_is_refused(tmp_path: Path) -> None:

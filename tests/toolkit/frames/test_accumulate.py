@@ -72,13 +72,19 @@ def test_intensity_is_kept_where_all_have_it_and_rings_columns_and_times_are_dro
     assert accumulated(full[0], [b]).intensity is None
 
 
-def test_points_far_from_the_reference_are_left_out() -> None:
+def test_points_far_from_the_reference_are_left_out_and_thinning_keeps_measured_ones_no_two_in_one_cube() -> None:
     a, b = seen("a"), seen("b", world=np.vstack([WALL, [[200.0, 0, 0]]]))
     union = accumulated(a, [b], max_range_m=25)
     assert len(union) == 2 * len(WALL)
     assert np.linalg.norm(union.xyz, axis=1).max() < 25
     with pytest.raises(InputError, match=r"^a: no point is within the range limit; expected within 1 m"):
         accumulated(a, [b], max_range_m=1)
+    a, b = seen("a"), seen("b")
+    full, thin = accumulated(a, [b]), accumulated(a, [b], voxel_m=0.7)
+    assert 0 < len(thin) < len(full)
+    cells = np.floor(thin.xyz / 0.7)
+    assert len(np.unique(cells, axis=0)) == len(thin) == len(np.unique(np.floor(full.xyz / 0.7), axis=0))
+    assert {tuple(point) for point in thin.xyz} <= {tuple(point) for point in full.xyz}
 
 
 def test_thinning_leaves_one_point_in_each_cube_the_one_nearest_to_its_centre() -> None:
@@ -89,15 +95,6 @@ def test_thinning_leaves_one_point_in_each_cube_the_one_nearest_to_its_centre() 
     assert one_per_voxel(np.array([[0.4, 0.5, 0.5], [0.6, 0.5, 0.5]]), 1.0).tolist() == [0]
     with pytest.raises(InputError, match="the voxel size is not positive"):
         one_per_voxel(xyz, 0.0)
-
-
-def test_thinning_the_union_keeps_measured_points_and_no_two_in_one_cube() -> None:
-    a, b = seen("a"), seen("b")
-    full, thin = accumulated(a, [b]), accumulated(a, [b], voxel_m=0.7)
-    assert 0 < len(thin) < len(full)
-    cells = np.floor(thin.xyz / 0.7)
-    assert len(np.unique(cells, axis=0)) == len(thin) == len(np.unique(np.floor(full.xyz / 0.7), axis=0))
-    assert {tuple(point) for point in thin.xyz} <= {tuple(point) for point in full.xyz}
 
 
 @pytest.mark.parametrize(

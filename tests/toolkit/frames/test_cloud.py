@@ -7,7 +7,7 @@ from p2o import Cloud, InputError, se3
 XYZ = np.arange(12.0).reshape(4, 3) + 1
 
 
-def test_points_are_kept_in_order_and_cannot_be_changed() -> None:
+def test_points_are_kept_in_order_and_cannot_be_changed_and_selecting_takes_all_fields_alike() -> None:
     mine = XYZ.copy()
     Cloud(mine)
     assert mine.flags.writeable
@@ -19,6 +19,13 @@ def test_points_are_kept_in_order_and_cannot_be_changed() -> None:
         cloud.xyz[0] = 0
     with pytest.raises(ValueError, match="read-only"):
         cloud.ring[0] = 0
+    cloud = Cloud(XYZ, ring=[0, 1, 2, 3], column=[9, 8, 7, 6])
+    for index in (np.array([2, 0]), np.array([True, False, True, False])):
+        part = cloud.select(index)
+        assert np.array_equal(part.xyz, XYZ[index])
+        assert np.array_equal(part.ring, np.arange(4)[index])
+        assert np.array_equal(part.column, np.array([9, 8, 7, 6])[index])
+        assert part.intensity is None
 
 
 @pytest.mark.parametrize(
@@ -59,16 +66,6 @@ def test_missing_returns_are_dropped_from_every_field_and_counted() -> None:
             Cloud.from_raw(np.full((3, 3), value))
     with pytest.raises(InputError, match="the cloud has no points"):
         Cloud.from_raw(np.zeros((0, 3)))
-
-
-def test_selecting_takes_all_fields_alike() -> None:
-    cloud = Cloud(XYZ, ring=[0, 1, 2, 3], column=[9, 8, 7, 6])
-    for index in (np.array([2, 0]), np.array([True, False, True, False])):
-        part = cloud.select(index)
-        assert np.array_equal(part.xyz, XYZ[index])
-        assert np.array_equal(part.ring, np.arange(4)[index])
-        assert np.array_equal(part.column, np.array([9, 8, 7, 6])[index])
-        assert part.intensity is None
 
 
 def test_a_corrected_sweep_tells_what_was_measured() -> None:

@@ -78,9 +78,7 @@ def test_the_inverse_is_refused_where_the_sweep_looks_ahead_only_and_doubted_whe
         check_direction(cloud(45), CAMERA, se3.inverse(VELO_TO_CAM), where="frame.yaml")
     (warning,) = check_direction(cloud(180), CAMERA, se3.inverse(VELO_TO_CAM), name="truth", where="frame.yaml")
     assert warning.startswith("frame.yaml: truth may be lidar_from_camera: its inverse stands upright")
-
-
-def test_each_outcome_is_a_value_with_its_warnings() -> None:
+    # Each outcome is a value with its warnings.
     down = se3.make(np.diag([1.0, -1.0, -1.0]))
     outcomes = [pose_direction(cloud(180), CAMERA, pose) for pose in (VELO_TO_CAM, se3.inverse(VELO_TO_CAM), down)]
     assert outcomes == [Direction.PLAUSIBLE, Direction.POSSIBLY_INVERSE, Direction.NOTHING_VISIBLE]
@@ -112,18 +110,15 @@ def test_a_quaternion_in_the_other_order_is_named(yaw_deg: float, inverse: bool)
         assert quaternion or "quaternion" not in " ".join(texts)
 
 
-def test_a_camera_on_its_side_is_warned_of_but_not_refused() -> None:
-    for angle_deg in (90, 180, -90):
-        c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
-        rolled = se3.make([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ VELO_TO_CAM
-        assert all("unless that is right" in text for text in check_direction(street(), CAMERA, rolled))
-
-
-def test_a_translation_in_millimetres_is_named() -> None:
+def test_a_translation_in_millimetres_is_named_and_a_camera_on_its_side_warned_of_but_not_refused() -> None:
     wrong = VELO_TO_CAM.copy()
     wrong[:3, 3] = (-4.0, -76.0, -270.0)
     texts = check_direction(street(), CAMERA, wrong, name="truth", where="frame.yaml")
     assert "frame.yaml: the translation of truth is 280.5 m long: if it is in millimetres, divide it by 1000" in texts
+    for angle_deg in (90, 180, -90):
+        c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
+        rolled = se3.make([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ VELO_TO_CAM
+        assert all("unless that is right" in text for text in check_direction(street(), CAMERA, rolled))
 
 
 @pytest.mark.parametrize(

@@ -32,9 +32,7 @@ def test_without_truth_everything_else_stays() -> None:
         (np.ones((4, 4)), "the last row of"),
     ],
 )
-def test_a_pose_that_is_not_rigid_is_refused_with_the_name_of_the_frame(
-    name: str, pose: np.ndarray, message: str
-) -> None:
+def test_a_pose_that_is_not_rigid_is_refused_with_the_frame(name: str, pose: np.ndarray, message: str) -> None:
     with pytest.raises(InputError, match=rf"^frame-7: .*{message}"):
         Frame("frame-7", IMAGE, CLOUD, **{name: pose})
 

@@ -23,16 +23,12 @@ from p2o.frames.image_file import read_rgb, read_uint16
 from tests.p2o_datasets.kitti_files import write_image
 
 
-def test_channels_come_as_red_green_blue(tmp_path: Path) -> None:
+def test_channels_come_as_red_green_blue_grey_is_repeated_with_a_warning_and_alpha_left_out(tmp_path: Path) -> None:
     written = write_image(tmp_path / "a.png")
     read, warnings = read_rgb(tmp_path / "a.png")
     assert np.array_equal(read, written)
     assert warnings == ()
-
-
-def test_a_grey_image_is_repeated_with_a_warning_and_alpha_left_out(tmp_path: Path) -> None:
     written = write_image(tmp_path / "a.png", grey=True)
-    read, warnings = read_rgb(tmp_path / "a.png")
     assert all(np.array_equal(read[:, :, c], written) for c in range(3))
     assert warnings == ("a.png: grey image, repeated on three channels",)
     with_alpha = np.random.default_rng(0).integers(0, 256, (8, 9, 4), dtype=np.uint8)
@@ -82,15 +78,22 @@ def test_sixteen_bits_are_scaled_to_eight_with_a_remark(tmp_path: Path, suffix: 
     assert len(warnings) == (2 if channels == 1 else 1)
 
 
-def test_a_truncated_image_of_16_bit_colours_is_refused_and_prints_nothing(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_damaged_pngs_and_tiffs_print_nothing(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     pixels = np.random.default_rng(0).integers(0, 4096, (40, 60, 3)).astype(np.uint16)
     for name in ("a.png", "a.tif"):
         data = cv2.imencode(Path(name).suffix, pixels)[1].tobytes()
         (tmp_path / name).write_bytes(data[: len(data) // 2])
         with pytest.raises(InputError, match=r"the image is (truncated|damaged)"):
             read_rgb(tmp_path / name)
+    assert capfd.readouterr() == ("", "")
+    (tmp_path / "a.png").write_bytes(png(400, 300))
+    with pytest.raises(InputError, match=r"a\.png: the image is damaged"):
+        read_rgb(tmp_path / "a.png")
+    body = b"iCCPsRGB\0\0" + zlib.compress(b"no profile")
+    bad = struct.pack(">I", len(body) - 4) + body + struct.pack(">I", zlib.crc32(body))
+    good = encoded(scene(48, 32), "PNG")
+    (tmp_path / "b.png").write_bytes(good[:33] + bad + good[33:])
+    assert np.array_equal(read_rgb(tmp_path / "b.png")[0], scene(48, 32))
     assert capfd.readouterr() == ("", "")
 
 
@@ -244,9 +247,7 @@ def test_a_header_of_another_or_an_absurd_size_is_refused_before_anything_is_dec
 
 
 @pytest.mark.parametrize("size", [(160, 121), (161, 120), (120, 160)])
-def test_an_image_that_differs_from_the_camera_in_one_direction_only_is_refused(
-    tmp_path: Path, size: tuple[int, int]
-) -> None:
+def test_an_image_that_differs_in_one_direction_only_is_refused(tmp_path: Path, size: tuple[int, int]) -> None:
     (tmp_path / "a.png").write_bytes(encoded(scene(160, 120), "PNG"))
     with pytest.raises(InputError, match=rf"expected {size[0]}x{size[1]} px; got 160x120 px"):
         read_rgb(tmp_path / "a.png", size)
@@ -283,9 +284,7 @@ def test_packed_tiffs_are_read_and_their_library_keeps_quiet(
     assert capfd.readouterr() == ("", "heard\nagain")
 
 
-def test_reading_tiffs_in_parallel_keeps_stderr_log_handlers_and_warning_filters(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_tiffs_in_parallel_keep_stderr_handlers_and_filters(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "a.tif").write_bytes(encoded(scene(480, 320), "TIFF", compression="tiff_lzw"))
     read_rgb(tmp_path / "a.tif")
     before = list(logging.getLogger("PIL").handlers), list(warnings.filters)
@@ -296,7 +295,7 @@ def test_reading_tiffs_in_parallel_keeps_stderr_log_handlers_and_warning_filters
     assert capfd.readouterr() == ("", "a later error")
 
 
-def test_pictures_whose_pixels_are_not_those_of_a_camera_are_refused(tmp_path: Path) -> None:
+def test_palettes_and_single_bits_are_read_and_pixels_that_are_not_those_of_a_camera_refused(tmp_path: Path) -> None:
     for name, data, why in (
         ("a.tif", encoded(scene(48, 32), "TIFF", compression="jpeg"), "a TIFF with an unsupported .*got jpeg"),
         ("c.jpg", encoded(PIL.Image.new("CMYK", (16, 16)), "JPEG"), "not RGB; .*got (CMYK|YCCK)"),
@@ -305,9 +304,6 @@ def test_pictures_whose_pixels_are_not_those_of_a_camera_are_refused(tmp_path: P
         (tmp_path / name).write_bytes(data)
         with pytest.raises(InputError, match=rf"{name}: the image is {why}"):
             read_rgb(tmp_path / name)
-
-
-def test_palettes_and_single_bits_are_read(tmp_path: Path) -> None:
     pixels = np.repeat(np.repeat(scene(8, 6), 4, axis=0), 4, axis=1) // 128 * 255
     PIL.Image.fromarray(pixels).quantize(8).save(tmp_path / "a.png")
     assert np.array_equal(read_rgb(tmp_path / "a.png")[0], pixels)
@@ -315,17 +311,3 @@ def test_palettes_and_single_bits_are_read(tmp_path: Path) -> None:
     read, warnings = read_rgb(tmp_path / "b.png")
     assert np.array_equal(read[:, :, 1], pixels[:, :, 0])
     assert warnings == ("b.png: grey image, repeated on three channels",)
-
-
-def test_a_png_with_too_few_pixels_and_one_with_a_bad_profile_print_nothing(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "a.png").write_bytes(png(400, 300))
-    with pytest.raises(InputError, match=r"a\.png: the image is damaged"):
-        read_rgb(tmp_path / "a.png")
-    body = b"iCCPsRGB\0\0" + zlib.compress(b"no profile")
-    bad = struct.pack(">I", len(body) - 4) + body + struct.pack(">I", zlib.crc32(body))
-    good = encoded(scene(48, 32), "PNG")
-    (tmp_path / "b.png").write_bytes(good[:33] + bad + good[33:])
-    assert np.array_equal(read_rgb(tmp_path / "b.png")[0], scene(48, 32))
-    assert capfd.readouterr() == ("", "")

@@ -24,15 +24,12 @@ def shuffled(cloud):
     return cloud.select(np.random.default_rng(1).permutation(len(cloud)))
 
 
-def test_elevations_tell_ring_count_any_order_and_number_them_upwards():
+def test_elevations_tell_rings_in_any_order_upwards_but_not_of_beams_that_do_not_cross_in_the_origin():
     cloud = shuffled(sweep())
     x, y, z = cloud.xyz.T.astype(np.float32)
     label, by = told_rings(np.mod(np.arctan2(y, x), np.float32(2 * np.pi)), z / np.hypot(x, y))
     assert by == "the elevations of the points"
     np.testing.assert_array_equal(label, 15 - cloud.ring)
-
-
-def test_beams_that_do_not_cross_in_the_origin_tell_no_rings_by_elevation():
     x, y, z = shuffled(sweep(lift_m=0.2)).xyz.T.astype(np.float32)
     with pytest.raises(RingsUnknownError, match="range-view"):
         told_rings(np.mod(np.arctan2(y, x), np.float32(2 * np.pi)), z / np.hypot(x, y))

@@ -41,16 +41,13 @@ def test_every_fourth_ring_is_kept_from_the_highest_whatever_the_rings_are_calle
         np.testing.assert_allclose(elevation_deg(kept)[kept.ring == ring], degrees)
 
 
-def test_rings_that_the_file_does_not_number_are_numbered_after_thinning(street):
+def test_rings_that_the_file_does_not_number_are_numbered_after_thinning_and_all_fields_kept_in_order(street):
     kept = changed(street, Cloud(sweep().xyz), keep_rings="1/2")
     np.testing.assert_allclose(elevation_deg(kept), 15 - 4 * kept.ring)
     assert len(kept) == 8 * 360
     both = changed(street, sweep(), keep_rings=4, forget_rings=True)
     assert (len(both), both.ring) == (4 * 360, None)
     assert sparse(street, SparseOptions()) is street
-
-
-def test_all_fields_of_the_kept_points_are_kept_in_their_order(street):
     cloud = sweep()
     numbered = np.arange(len(cloud))
     cloud = replace(cloud, intensity=numbered / 1e4, time_s=numbered / 1e5, column=numbered, twist=np.zeros(6))

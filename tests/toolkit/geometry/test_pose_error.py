@@ -42,15 +42,12 @@ def test_points_move_in_the_image_as_docs_conventions_shows(name: str, size: flo
     assert moved @ moves > 0.95
 
 
-def test_norm_and_per_axis_values_agree() -> None:
+def test_norm_and_per_axis_values_agree_and_a_summary_comes_from_the_rows() -> None:
     estimate = TRUTH @ se3.exp(np.array([0.01, 0.02, -0.03, 0.1, -0.2, 0.3]))
     error = pose_error(estimate, TRUTH)
     values = np.array(list(error.per_axis.values()))
     assert np.linalg.norm(values[:3]) == pytest.approx(error.rotation_deg)
     assert np.linalg.norm(values[3:]) == pytest.approx(error.translation_m)
-
-
-def test_a_summary_comes_from_the_rows() -> None:
     shifts = [0.05, 0.05, 0.5]
     errors = [pose_error(TRUTH @ se3.make(translation=[s, 0, 0]), TRUTH) for s in shifts]
     summary = summarise(errors)

@@ -51,10 +51,14 @@ def test_one_tangent_that_is_no_motion_gives_what_it_gives_in_a_stack(value: flo
         np.testing.assert_array_equal(se3.exp(tangent), se3.exp(tangent[None])[0])
 
 
-def test_exp_undoes_log_for_half_a_turn() -> None:
+def test_exp_undoes_log_for_half_a_turn_and_small_and_large_angles_are_measured_alike() -> None:
     half = se3.make(np.diag([1.0, -1.0, -1.0]), [1, 2, 3])
     np.testing.assert_allclose(se3.exp(se3.log(half)), half, atol=1e-12)
     assert se3.angle_deg(half) == pytest.approx(180)
+    # An arccos of the trace would lose angles below 1e-6 degrees.
+    for angle_deg in (0.0, 1e-6, 0.01, 90.0, 179.9999):
+        pose = se3.exp(tangents(1, np.radians(angle_deg))[0])
+        assert se3.angle_deg(pose) == pytest.approx(angle_deg, abs=1e-9)
 
 
 def test_exp_has_its_derivative_at_zero() -> None:
@@ -66,14 +70,11 @@ def test_exp_has_its_derivative_at_zero() -> None:
     assert (se3.exp(np.zeros(6)) == np.eye(4)).all()
 
 
-def test_half_a_motion_twice_is_the_motion() -> None:
+def test_half_a_motion_twice_is_the_motion_and_a_quarter_circle_bends_the_translation() -> None:
     for tangent in tangents(10):
         half = se3.exp(tangent / 2)
         np.testing.assert_allclose(half @ half, se3.exp(tangent), atol=1e-12)
         np.testing.assert_allclose(se3.exp(-tangent), se3.inverse(se3.exp(tangent)), atol=1e-12)
-
-
-def test_a_quarter_circle_bends_the_translation_as_the_page_says() -> None:
     motion = se3.exp(np.array([0, 0, np.pi / 2, 1, 0, 0]))
     np.testing.assert_allclose(motion[:3, 3], [2 / np.pi, 2 / np.pi, 0], atol=1e-15)
     np.testing.assert_allclose(se3.apply(motion, np.eye(3)[:1] * 0), [[2 / np.pi, 2 / np.pi, 0]], atol=1e-15)
@@ -101,12 +102,9 @@ def test_chains_cancel_and_applying_one_after_the_other_is_applying_the_product(
     )
 
 
-def test_skew_is_the_cross_product() -> None:
+def test_skew_is_the_cross_product_and_apply_moves_the_points_of_the_page() -> None:
     a, b = np.random.default_rng(3).normal(size=(2, 3))
     np.testing.assert_allclose(se3.skew(a) @ b, np.cross(a, b), atol=1e-15)
-
-
-def test_apply_moves_the_points_of_the_page() -> None:
     np.testing.assert_allclose(se3.apply(TRUTH, np.array([[10.27, 2.0, -1.08]])), [[-2, 1, 10]], atol=1e-12)
     np.testing.assert_allclose(se3.inverse(TRUTH)[:3, 3], [0.27, 0, -0.08], atol=1e-15)  # the camera's place
 
@@ -121,13 +119,6 @@ def test_angle_and_distance_of_a_wrong_start_are_those_it_was_made_of() -> None:
     assert (error.rotation_deg, error.translation_m) == pytest.approx((1, 0.1))
     assert error.per_axis["yaw_deg"] == pytest.approx(-1)
     assert error.per_axis["z_m"] == pytest.approx(0.1)
-
-
-def test_small_and_large_angles_are_measured_alike() -> None:
-    """An arccos of the trace would lose angles below 1e-6 degrees."""
-    for angle_deg in (0.0, 1e-6, 0.01, 90.0, 179.9999):
-        pose = se3.exp(tangents(1, np.radians(angle_deg))[0])
-        assert se3.angle_deg(pose) == pytest.approx(angle_deg, abs=1e-9)
 
 
 def test_a_rotation_printed_with_few_digits_is_made_exact_and_read_only_and_the_input_is_left_as_it_was() -> None:

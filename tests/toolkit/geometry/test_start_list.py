@@ -29,7 +29,12 @@ def of_lines(starts: StartList, names: tuple[str, ...], *indices: int) -> list[i
     return [int(d.argmin()) for d in differences]
 
 
-def test_the_words_say_file_and_side() -> None:
+def test_a_line_is_the_logarithm_with_the_rotation_first_and_words_say_file_and_side(tmp_path: Path) -> None:
+    truth, error = se3.exp(np.array([0.3, -1.0, 0.4, 1, 2, 3])), np.array([0, 0, 0.5, 0.1, 0.2, 0.3])
+    found = written(tmp_path, "0 0 0.5 0.1 0.2 0.3").errors(("a",), [0])[0]
+    np.testing.assert_allclose(se3.log(found), error, atol=1e-12)
+    np.testing.assert_array_equal(StartList("a").start(truth, found), truth @ found)
+    np.testing.assert_array_equal(StartList("a", in_camera=True).start(truth, found), found @ truth)
     assert parse_starts("@a list.txt") == StartList("a list.txt")
     assert parse_starts(" camera @a.csv ") == StartList("a.csv", in_camera=True)
     assert parse_starts(str(StartList("a.csv", in_camera=True))) == StartList("a.csv", in_camera=True)
@@ -37,14 +42,6 @@ def test_the_words_say_file_and_side() -> None:
     for text in ("@", "camera @ ", "uniform @a.txt", "camera"):  # name no file
         with pytest.raises(InputError, match="--perturb"):
             parse_starts(text)
-
-
-def test_a_line_is_the_logarithm_with_the_rotation_first_and_acts_on_the_side_that_is_said(tmp_path: Path) -> None:
-    truth, error = se3.exp(np.array([0.3, -1.0, 0.4, 1, 2, 3])), np.array([0, 0, 0.5, 0.1, 0.2, 0.3])
-    found = written(tmp_path, "0 0 0.5 0.1 0.2 0.3").errors(("a",), [0])[0]
-    np.testing.assert_allclose(se3.log(found), error, atol=1e-12)
-    np.testing.assert_array_equal(StartList("a").start(truth, found), truth @ found)
-    np.testing.assert_array_equal(StartList("a", in_camera=True).start(truth, found), found @ truth)
 
 
 def test_commas_headings_remarks_and_blank_lines_are_no_starts(tmp_path: Path) -> None:
@@ -56,9 +53,7 @@ def test_commas_headings_remarks_and_blank_lines_are_no_starts(tmp_path: Path) -
         assert of_lines(written(tmp_path, f"00/000001 {lines[2]}"), NAMES, 1) == [2]
 
 
-def test_frames_take_the_line_of_their_number_or_their_order_and_sequences_with_gaps_are_refused(
-    tmp_path: Path,
-) -> None:
+def test_frames_take_the_line_of_their_number_or_order_and_gaps_are_refused(tmp_path: Path) -> None:
     starts = written(tmp_path, *NUMBERS)
     assert of_lines(starts, ("00/000002", "00/000004"), 0, 1) == [2, 4]
     assert of_lines(starts, ("000003",), 0) == [3]

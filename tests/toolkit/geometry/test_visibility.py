@@ -19,9 +19,7 @@ def test_points_behind_a_wall_are_hidden_and_points_beside_it_outside_or_behind_
     surface = wall(10.0, (-2.0, 2.0))
     points = np.array([[0.0, 0, 20], [8, 0, 20], [0, 0, 9], [0, 0, 10], [0, 0, -20], [500, 0, 20]])
     assert hidden(points, surface, PINHOLE, np.eye(4)).tolist() == [True, *[False] * 5]
-
-
-def test_the_silhouette_of_a_far_object_right_beside_a_near_one_stays() -> None:
+    # Nor is the silhouette of a far object right beside a near one.
     surface = wall(10.0, (-2.0, 0.0))
     point = np.array([[0.02, 0.0, 20.0]])
     assert not hidden(point, surface, PINHOLE, np.eye(4)).any()

@@ -76,9 +76,7 @@ def test_a_plain_function_calibrates_frames_without_their_ground_truth() -> None
         (np.ndarray, "type"),
     ],
 )
-def test_a_method_that_prepares_no_data_is_refused_with_the_name_of_the_frame(
-    kind: Kind, value: Any, name: str
-) -> None:
+def test_a_method_that_prepares_no_data_is_refused_with_the_frame(kind: Kind, value: Any, name: str) -> None:
     frame = stage.frame()
     with pytest.raises(PluginError, match=f"{kind} 'fake'.*prepare returned {name} for {frame.name}; expected the"):
         guarded(kind, Recorder(lambda _: value)).prepare(frame)

@@ -307,9 +307,7 @@ def test_what_a_stage_must_not_return_names_plugin_and_stage(kind: Kind, stage: 
         build(promised, p2o.Options())(None)
 
 
-def test_a_stage_that_changes_directory_and_recursion_limit_changes_them_for_itself_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_directory_and_recursion_limit_stay_after_a_stage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def solve(problem: object, pose: np.ndarray) -> p2o.Solution:
         os.chdir("/")
         sys.setrecursionlimit(5000)
@@ -323,9 +321,7 @@ def test_a_stage_that_changes_directory_and_recursion_limit_changes_them_for_its
 
 @pytest.mark.parametrize("name", ["start_sigma", "reach"])
 @pytest.mark.parametrize("sizes", [(2.0,), (2.0, -0.1), (np.nan, 0.1)])
-def test_the_initial_errors_that_an_initializer_is_made_for_are_two_numbers_above_zero(
-    sizes: tuple[float, ...], name: str
-) -> None:
+def test_initial_errors_of_an_initializer_are_two_numbers_above_zero(sizes: tuple[float, ...], name: str) -> None:
     class Proposing(p2o.InitializerBase):
         def __call__(self, views: object, pose: object) -> list[object]:  # type: ignore[override]
             return [pose]
@@ -361,7 +357,7 @@ class _Frames(list):  # type: ignore[type-arg]
         self.names = names
 
 
-def test_a_dataset_is_checked_as_it_is_read() -> None:
+def test_a_dataset_is_checked_as_it_is_read_and_a_full_disk_is_an_input_error_of_the_exporter() -> None:
     def opened(frames: list[object], names: list[str]) -> object:
         return build(offer_of(Kind.DATASET, _Frames(frames, names)), p2o.Options())
 
@@ -375,8 +371,6 @@ def test_a_dataset_is_checked_as_it_is_read() -> None:
         with pytest.raises(PluginError, match=f"build returned {name}"):
             build(offer_of(kind, built), p2o.Options())
 
-
-def test_a_full_disk_is_an_input_error_of_the_exporter() -> None:
     def export(result: object, path: object) -> None:
         raise OSError(28, "No space left on device", str(path))
 

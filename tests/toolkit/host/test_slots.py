@@ -8,11 +8,9 @@ import p2o
 import pytest
 from p2o import Kind
 from p2o.cli.run import command
-from p2o.frames.frame import Frame
 from p2o.host import hookspecs, method
 from p2o.host.slots import METHOD_WORDS, SLOT_OF, SLOTS, Slot
 from p2o_study.study import Product, RowTable, Words
-from p2o_testing import stage
 
 
 def test_every_kind_has_one_slot_and_one_stage() -> None:
@@ -33,13 +31,6 @@ def test_recipe_call_and_command_line_take_the_word_of_each_slot(slot: Slot) -> 
 def test_study_files_and_stored_rows_take_the_word_of_each_slot(word: str) -> None:
     for table in (Words, RowTable, Product):
         assert word in table.model_fields
-
-
-def test_extractors_look_at_parts_of_a_frame() -> None:
-    sensors = {slot.stage: slot.sensor for slot in SLOTS if slot.sensor}
-    assert sensors == {"extractor": "image", "cloud": "cloud"}
-    assert all(isinstance(getattr(stage.frame(), part), getattr(p2o, part.title())) for part in sensors.values())
-    assert set(sensors.values()) <= set(Frame.__dataclass_fields__)
 
 
 def test_an_extractor_is_written_beside_the_other_one_and_an_option_in_the_words_of_its_slot() -> None:

@@ -51,11 +51,16 @@ def test_the_direction_whose_edges_do_not_correspond_is_named() -> None:
     assert agreement([replace(view, cloud=CloudFeatures(few))], TRUTH).least_odds is None
 
 
-def test_the_edges_and_intervals_of_another_place_meet_by_chance_only() -> None:
+def test_the_edges_and_intervals_of_another_place_meet_by_chance_and_without_points_there_is_no_answer() -> None:
     here, there = edge_scene.view(seed=0), edge_scene.view(seed=1)
     assert 0.4 < agreement([replace(here, cloud=there.cloud)], TRUTH).odds_ratio < 2.5
     here, there = sparse_view(0), sparse_view(1)
     assert 0.4 < interval_agreement([replace(here, cloud=there.cloud)], TRUTH).odds_ratio < 2.5
+    view = View("empty", edge_scene.PINHOLE, ImageFeatures(ImageEdges.empty()), CloudFeatures(CloudEdges.empty()))
+    assert np.isnan(agreement([view], TRUTH).odds_ratio)
+    assert Agreement(1.0, 0.5, 10).odds_ratio > 1e5
+    behind = se3.make(translation=[0, 0, -1000.0]) @ TRUTH
+    assert interval_agreement([sparse_view(0)], behind).points == 0
 
 
 def test_points_scattered_at_random_have_an_odds_ratio_of_one() -> None:
@@ -68,14 +73,6 @@ def test_points_scattered_at_random_have_an_odds_ratio_of_one() -> None:
     # The standard error of a share of about 0.3 over 20,000 points is 0.3 %.
     assert found.near == pytest.approx(found.chance, abs=0.015)
     assert found.odds_ratio == pytest.approx(1.0, abs=0.08)
-
-
-def test_without_points_there_is_no_answer() -> None:
-    view = View("empty", edge_scene.PINHOLE, ImageFeatures(ImageEdges.empty()), CloudFeatures(CloudEdges.empty()))
-    assert np.isnan(agreement([view], TRUTH).odds_ratio)
-    assert Agreement(1.0, 0.5, 10).odds_ratio > 1e5
-    behind = se3.make(translation=[0, 0, -1000.0]) @ TRUTH
-    assert interval_agreement([sparse_view(0)], behind).points == 0
 
 
 def with_clutter(confidence: float) -> View:

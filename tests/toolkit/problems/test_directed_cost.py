@@ -43,7 +43,7 @@ def test_the_cost_is_the_distance_in_pixels_to_edges_of_that_direction_up_to_the
     assert cost.at(np.eye(4)) == pytest.approx(20.0)
 
 
-def test_a_point_outside_the_image_costs_what_a_random_place_costs() -> None:
+def test_a_point_outside_the_image_costs_what_a_random_place_costs_and_without_points_every_pose_is_infinite() -> None:
     view = one_edge(Side.LEFT, Side.LEFT)
     cost = DirectedCost.of([view], np.eye(4), 20.0)
     outside = se3.make(translation=[100.0, 0, 0])
@@ -51,6 +51,8 @@ def test_a_point_outside_the_image_costs_what_a_random_place_costs() -> None:
     random = float(cost.parts[0].maps.mean())
     # The mean is taken from every fourth cell.
     np.testing.assert_allclose(cost(np.stack([outside, behind])), random, rtol=1e-2)
+    view = View("empty", edge_scene.PINHOLE, ImageFeatures(ImageEdges.empty()), CloudFeatures(CloudEdges.empty()))
+    assert DirectedCost.of([view], np.eye(4), 20.0).at(np.eye(4)) == np.inf
 
 
 def test_coarse_quick_and_truncated_costs_agree_with_the_fine_smooth_one() -> None:
@@ -74,11 +76,6 @@ def test_weights_count_and_views_add_up() -> None:
     single = DirectedCost.of([view], edge_scene.TRUTH, 20.0).at(pose)
     assert DirectedCost.of([doubled], edge_scene.TRUTH, 20.0).at(pose) == pytest.approx(single, rel=1e-5)
     assert DirectedCost.of([view, doubled], edge_scene.TRUTH, 20.0).at(pose) == pytest.approx(single, rel=1e-5)
-
-
-def test_without_points_every_pose_is_infinitely_bad() -> None:
-    view = View("empty", edge_scene.PINHOLE, ImageFeatures(ImageEdges.empty()), CloudFeatures(CloudEdges.empty()))
-    assert DirectedCost.of([view], np.eye(4), 20.0).at(np.eye(4)) == np.inf
 
 
 @pytest.mark.parametrize("distance_m", [5.0, 20.0])
@@ -107,15 +104,6 @@ def test_exact_maps_are_the_same_bytes_wherever_they_lie_in_memory_and_on_any_nu
     assert len(found) == 1
 
 
-def test_without_levels_confidence_does_not_count() -> None:
-    view = one_edge(Side.LEFT, Side.LEFT)
-    edges = view.image_edges
-    for weight in (0.01, 1.0):
-        image = ImageFeatures(replace(edges, weight=np.full(len(edges), weight)))
-        plain = distance_maps(replace(view, image=image), [Side.LEFT], 20.0, 1)
-        np.testing.assert_array_equal(plain, distance_maps(view, [Side.LEFT], 20.0, 1))
-
-
 @pytest.mark.parametrize("confidence", [0.1, 0.4, 0.9])
 def test_an_edge_counts_at_every_level_below_its_confidence(confidence: float) -> None:
     view = one_edge(Side.LEFT, Side.LEFT)
@@ -126,13 +114,20 @@ def test_an_edge_counts_at_every_level_below_its_confidence(confidence: float) -
     assert cost == pytest.approx(20.0 * missed, abs=1e-3)
 
 
-def test_a_sure_edge_outweighs_a_doubtful_one_that_lies_nearer() -> None:
+def test_a_sure_edge_outweighs_a_doubtful_one_that_lies_nearer_where_there_are_levels_of_confidence() -> None:
     near, far = np.full((50, 2), 600.0), np.full((50, 2), 610.0)
     near[:, 1] = far[:, 1] = np.arange(150, 200)
     both = ImageEdges(np.concatenate([near, far]), np.full(100, Side.LEFT), np.repeat([0.1, 0.9], 50))
     view = replace(one_edge(Side.LEFT, Side.LEFT), image=ImageFeatures(both))
     maps = distance_maps(view, [Side.LEFT], 20.0, 1, confidences=CONFIDENCES)
     assert maps[0, 175, 610] < maps[0, 175, 600]
+    # Without levels confidence does not count.
+    view = one_edge(Side.LEFT, Side.LEFT)
+    edges = view.image_edges
+    for weight in (0.01, 1.0):
+        image = ImageFeatures(replace(edges, weight=np.full(len(edges), weight)))
+        plain = distance_maps(replace(view, image=image), [Side.LEFT], 20.0, 1)
+        np.testing.assert_array_equal(plain, distance_maps(view, [Side.LEFT], 20.0, 1))
 
 
 @pytest.mark.parametrize(("truncate_px", "scale"), [(5.0, 1), (4.3, 1), (20.0, 4), (12.0, 2)])

@@ -68,14 +68,11 @@ def test_only_image_edges_of_the_same_side_count() -> None:
         assert likelihood(np.eye(4)[None]) == [0.0]
 
 
-def test_intervals_outside_of_the_image_count_as_randomly_aligned() -> None:
+def test_intervals_outside_of_the_image_or_among_edges_everywhere_count_as_randomly_aligned() -> None:
     likelihood = IntervalLikelihood.of([one_interval(Side.UPPER, 20.0)], np.eye(4), SIGMA_PX)
     sideways, behind = se3.make(translation=[100.0, 0, 0]), se3.make(translation=[0, 0, -30.0])
     above = shifted(Side.UPPER, np.array([240.0]))[0]
     np.testing.assert_allclose(likelihood(np.stack([sideways, behind, above])), 0.0, atol=1e-9)
-
-
-def test_image_edges_everywhere_are_worth_nothing() -> None:
     rows, columns = np.mgrid[: SIZE[1], : SIZE[0]]
     uv = np.column_stack([columns.ravel(), rows.ravel()]).astype(float)
     view = replace(one_interval(Side.UPPER, 20.0), image=ImageFeatures(ImageEdges(uv, np.full(len(uv), Side.UPPER))))
@@ -83,11 +80,16 @@ def test_image_edges_everywhere_are_worth_nothing() -> None:
     np.testing.assert_allclose(likelihood(shifted(Side.UPPER, np.arange(-50.0, 50, 10))), 0.0, atol=2e-3)
 
 
-def test_edges_of_one_outline_count_as_the_root_of_their_number() -> None:
+def test_edges_of_one_outline_count_as_the_root_of_their_number_and_moved_views_as_much_at_the_moved_pose() -> None:
     view = one_interval(Side.UPPER, 20.0)
     nine = replace(view, cloud=CloudFeatures(view.cloud_edges.select(np.zeros(9, int))))
     one, all_of_them = (IntervalLikelihood.of([its], np.eye(4), SIGMA_PX)(np.eye(4)[None]) for its in (view, nine))
     np.testing.assert_allclose(all_of_them, 3 * one)
+    views = [sparse_view(0)]
+    likelihood = IntervalLikelihood.of(views, TRUTH, SIGMA_PX)
+    step = se3.exp(np.array([0.01, 0, 0, 0.1, 0, 0]))
+    moved = likelihood.on([views[0].moved(step)])
+    np.testing.assert_allclose(moved((TRUTH @ se3.inverse(step))[None]), likelihood(TRUTH[None]), rtol=1e-5)
 
 
 @pytest.mark.parametrize("camera", [edge_scene.PINHOLE, edge_scene.FISHEYE], ids=lambda c: c.model)
@@ -139,11 +141,3 @@ def test_shares_fall_with_the_part_of_edges_that_have_a_counterpart() -> None:
     for side in DIRECTION:
         assert right[side] > 0.8
         assert 0.2 < half[side] < 0.7 * right[side]
-
-
-def test_moved_views_have_the_likelihood_at_the_moved_pose() -> None:
-    views = [sparse_view(0)]
-    likelihood = IntervalLikelihood.of(views, TRUTH, SIGMA_PX)
-    step = se3.exp(np.array([0.01, 0, 0, 0.1, 0, 0]))
-    moved = likelihood.on([views[0].moved(step)])
-    np.testing.assert_allclose(moved((TRUTH @ se3.inverse(step))[None]), likelihood(TRUTH[None]), rtol=1e-5)

@@ -39,15 +39,12 @@ def test_half_the_noise_gives_half_the_deviations() -> None:
     assert np.sqrt(np.diag(less)) == pytest.approx(0.5 * np.sqrt(np.diag(full)), rel=1e-9)
 
 
-def test_the_gradient_is_the_derivative_of_the_cost() -> None:
+def test_the_gradient_is_the_derivative_of_the_cost_and_both_hessians_agree_within_the_kernel() -> None:
     problem, step = pairs(noise_px=1.0, outliers=0.3), 1e-6
     for newton in (False, True):
         _, gradient = normal_equations(problem, *linearise(problem, NEAR), newton=newton)
         change = problem.cost(se3.exp(step * np.eye(6)) @ NEAR) - problem.cost(se3.exp(-step * np.eye(6)) @ NEAR)
         assert gradient == pytest.approx(change / (2 * step), rel=1e-4)
-
-
-def test_both_hessians_agree_where_no_pair_lies_beyond_the_kernel() -> None:
     problem = pairs()
     rows = linearise(problem, TRUTH)
     bounding, exact = (normal_equations(problem, *rows, newton=newton)[0] for newton in (False, True))

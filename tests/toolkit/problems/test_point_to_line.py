@@ -22,10 +22,12 @@ def one_pair(**changes: object) -> PointToLine:
     return PointToLine(**{**values, **changes})  # type: ignore[arg-type]
 
 
-def test_the_residual_is_the_signed_distance_to_the_line() -> None:
+def test_the_residual_is_the_signed_distance_to_the_line_and_the_cost_quadratic_within_the_kernel() -> None:
     assert one_pair().residuals(np.eye(4)) == pytest.approx([3.0])
     sideways = se3.make(translation=[0.1, 5.0, 0.0])  # 0.1 m at 10 m are 7 px; along the line nothing changes
     assert one_pair().residuals(sideways) == pytest.approx([10.0])
+    assert one_pair(huber_px=5.0).cost(np.eye(4)[None]) == pytest.approx([2 * 9 / 2])
+    assert one_pair(huber_px=1.0).cost(np.eye(4)[None]) == pytest.approx([2 * (3 - 0.5)])
 
 
 @cameras
@@ -56,11 +58,6 @@ def test_more_poses_than_fit_at_once_are_evaluated_in_parts() -> None:
     half = np.arange(len(problem)) < len(problem) // 2
     parts = rows(problem, half).cost(NEAR[None]) + rows(problem, ~half).cost(NEAR[None])
     assert parts == pytest.approx(problem.cost(NEAR[None]), rel=1e-12), "a sum over pairs"
-
-
-def test_the_cost_is_quadratic_within_the_kernel_and_linear_beyond() -> None:
-    assert one_pair(huber_px=5.0).cost(np.eye(4)[None]) == pytest.approx([2 * 9 / 2])
-    assert one_pair(huber_px=1.0).cost(np.eye(4)[None]) == pytest.approx([2 * (3 - 0.5)])
 
 
 def test_a_point_behind_the_camera_costs_as_much_as_one_an_image_away() -> None:

@@ -74,7 +74,7 @@ def test_the_cost_is_quadratic_inside_the_kernel_linear_beyond_and_bounded_by_fa
     np.testing.assert_allclose(problem.robust_weight(np.array([0.0, 0.05, -0.1])), [1.0, 1.0, 0.5])
 
 
-def test_pairs_residuals_and_objectives_are_problems_and_other_things_are_not() -> None:
+def test_pairs_residuals_and_objectives_are_problems_and_a_subclass_that_says_nothing_is_told_so() -> None:
     assert all(isinstance(p, Problem) for p in (pairs(), planes(), Objective(lambda poses: np.zeros(len(poses)))))
     assert not isinstance(np.zeros(3), Problem)
     poses = np.stack([TRUTH, NEAR])
@@ -82,8 +82,6 @@ def test_pairs_residuals_and_objectives_are_problems_and_other_things_are_not() 
     assert planes().cost(poses)[0] < planes().cost(poses)[1]
     assert planes().cost(poses[:0]).shape == (0,)
 
-
-def test_a_subclass_that_says_nothing_is_told_what_is_missing() -> None:
     class Empty(LeastSquares):
         weight = np.ones(1)
 

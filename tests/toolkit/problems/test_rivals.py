@@ -23,7 +23,7 @@ def run() -> Run:
     return p2o.calibrate(STREET, extractor="depth/rings", init="given", perturb="4deg 0.4m", seed=1)
 
 
-def test_a_local_minimum_has_a_rival_that_fits_better_and_is_not_trusted(run: Run) -> None:
+def test_a_local_minimum_has_a_rival_and_is_not_trusted_while_results_at_the_truth_are(run: Run) -> None:
     wrong = [row for row in run.rows if row.error is not None and row.error.rotation_deg > 0.5]
     assert len(wrong) >= 2
     for row in wrong:
@@ -31,9 +31,6 @@ def test_a_local_minimum_has_a_rival_that_fits_better_and_is_not_trusted(run: Ru
         assert Doubt.RIVAL_POSE in {reason.doubt for reason in row.result.verdict.reasons}
         assert row.result.rival is not None
         assert row.result.rival.lead < 0
-
-
-def test_results_at_the_truth_have_no_rival_and_are_trusted(run: Run) -> None:
     right = [row for row in run.rows if row.error is not None and row.error.rotation_deg < 0.5]
     assert len(right) >= 3
     assert all(row.result.verdict.trusted and row.result.rival is None for row in right)

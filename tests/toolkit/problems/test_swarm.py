@@ -42,13 +42,10 @@ def test_no_particle_leaves_the_box_and_a_corner_can_be_reached() -> None:
     assert {len(places) for places in asked} == {30}
 
 
-def test_a_good_first_place_is_never_lost() -> None:
+def test_a_good_first_place_is_never_lost_and_a_swarm_that_is_narrow_stops() -> None:
     found, least, _ = run(lambda places: np.where((places == AIM).all(axis=1), 0.0, 1.0), first=AIM, moves=5)
     assert (found == AIM).all()
     assert least == 0.0
-
-
-def test_a_swarm_that_is_narrow_stops() -> None:
     _, least, moves = run(moves=1000, narrow=0.01)
     assert moves < 200
     assert least < 0.01**2

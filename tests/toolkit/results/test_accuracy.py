@@ -63,11 +63,15 @@ def test_better_pairs_better_beams_and_better_agreement_promise_smaller_errors()
             assert getattr(better, name) < getattr(usual, name)
 
 
-def test_errors_fall_with_the_odds_without_a_step_back() -> None:
+def test_errors_fall_with_the_odds_without_a_step_back_and_none_count_as_the_worst() -> None:
     bounds = [
         likely_accuracy(spread(covariance()), TRUTH, met(near)).rotation_deg_95 for near in np.linspace(0.01, 0.9, 50)
     ]
     assert (np.diff(bounds) <= 0).all()
+    nothing = likely_accuracy(spread(covariance()), TRUTH, Agreement(0.0, 0.0, 0))
+    worst = likely_accuracy(spread(covariance()), TRUTH, met(0.001, 1))
+    assert nothing == worst
+    assert np.isfinite(nothing.rotation_deg_95)
 
 
 def test_agreement_in_few_places_widens_all_errors_alike() -> None:
@@ -142,13 +146,6 @@ def test_the_error_of_intervals_does_not_depend_on_their_odds_and_falls_with_the
     more = likely_accuracy(replace(spread(covariance() / 4), views=4.0, intervals=True), TRUTH, met(0.1, 400))
     assert 0.45 < more.rotation_deg / weak.rotation_deg < 0.65
     assert 0.45 < more.translation_m / weak.translation_m < 0.65
-
-
-def test_an_odds_ratio_that_is_none_counts_as_the_worst() -> None:
-    nothing = likely_accuracy(spread(covariance()), TRUTH, Agreement(0.0, 0.0, 0))
-    worst = likely_accuracy(spread(covariance()), TRUTH, met(0.001, 1))
-    assert nothing == worst
-    assert np.isfinite(nothing.rotation_deg_95)
 
 
 def test_a_rival_that_fits_as_well_is_how_far_off_the_worst_may_be() -> None:

@@ -117,13 +117,10 @@ def test_a_word_of_the_verdict_that_somebody_changed_is_not_believed() -> None:
         result_from_dict(value)
 
 
-def test_numbers_of_numpy_are_numbers() -> None:
+def test_numbers_of_numpy_are_numbers_and_a_recipe_that_json_cannot_hold_is_refused_with_its_place() -> None:
     result = replace(_result(), matches={"L": np.int64(3)}, residual_px={"L": np.float64(0.25)})
     again = result_from_json(result_to_json(result))
     assert (again.matches, again.residual_px) == ({"L": 3}, {"L": 0.25})
-
-
-def test_a_recipe_that_json_cannot_hold_is_refused_with_its_place() -> None:
     with pytest.raises(InputError, match=r"recipe.options.matcher has no form in JSON.*got object"):
         result_to_dict(replace(_result(), recipe={"options": {"matcher": object()}}))
 

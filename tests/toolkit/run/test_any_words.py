@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable
 from typing import Any
@@ -73,17 +72,6 @@ def _plain(value: Any) -> bool:
         return all(_plain(inner) for inner in value)
     # TOML has dates; they stay what they are, and no option takes them. YAML has bytes and sets.
     return value is None or not callable(value)
-
-
-@given(
-    st.recursive(
-        st.none() | st.booleans() | st.integers() | st.text(),
-        lambda x: st.lists(x) | st.dictionaries(st.text(), x),
-        max_leaves=20,
-    )
-)
-def test_json_that_is_written_is_read_again(value: Any) -> None:
-    assert parse_json(json.dumps(value), "file") == value
 
 
 @given(st.lists(st.text(min_size=1, max_size=200), min_size=1, max_size=8, unique=True))

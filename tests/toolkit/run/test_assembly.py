@@ -141,12 +141,6 @@ def test_an_initializer_may_prepare_frames_and_finds_that_in_its_views_and_frame
         plan.check_frame(stage.frame())
 
 
-def test_stages_with_edges_need_no_witness() -> None:
-    plan = Recipe.of(data=None, extractor="depth/rings", init="given").resolve(registry(Claims(TRUTH)))
-    assert not set(plan.parts) & set(WITNESS)
-    assert tuple(plan.assembly().stages) == ("extractor", "cloud")
-
-
 @pytest.mark.parametrize(
     ("build", "text"),
     [
@@ -166,8 +160,11 @@ def test_a_calibrator_that_is_none_names_its_plugin(build, text: str) -> None:
         )
 
 
-def test_a_resolved_recipe_with_a_witness_resolves_again() -> None:
+def test_a_resolved_recipe_with_a_witness_resolves_again_and_stages_with_edges_need_none() -> None:
     plan = Recipe.of(data="synthetic:", calibrator="csc").resolve(Registry.load())
     assert set(WITNESS_STAGES.values()) <= set(plan.parts)
     again = Recipe.of(**plan.described()).resolve(Registry.load())
     assert set(again.parts) == set(plan.parts)
+    plan = Recipe.of(data=None, extractor="depth/rings", init="given").resolve(registry(Claims(TRUTH)))
+    assert not set(plan.parts) & set(WITNESS)
+    assert tuple(plan.assembly().stages) == ("extractor", "cloud")

@@ -87,7 +87,7 @@ class Recordings:
         return [Method(name="recordings", build=list, summary="Recordings.", recognises=self.recognises)]
 
 
-def test_the_dataset_of_a_plugin_recognises_its_own_folder(tmp_path: Path) -> None:
+def test_the_dataset_of_a_plugin_recognises_its_own_folder_and_is_named_where_it_fails(tmp_path: Path) -> None:
     laid_out(tmp_path, "drive/sweeps.rec")
     registry = Registry.of(Recordings(layout("*/sweeps.rec")))
     assert split_data(str(tmp_path), registry) == ("recordings", {"root": str(tmp_path)})
@@ -97,8 +97,5 @@ def test_the_dataset_of_a_plugin_recognises_its_own_folder(tmp_path: Path) -> No
         named_data(str(tmp_path / "drive"), registry)
     with pytest.raises(InputError, match="dataset recordings takes no path"):
         Recipe(data=str(tmp_path)).resolve(registry)
-
-
-def test_a_dataset_that_fails_to_recognise_a_path_is_named(tmp_path: Path) -> None:
     with pytest.raises(PluginError, match="dataset 'recordings' raised ZeroDivisionError while recognising"):
         data_kind(tmp_path, Registry.of(Recordings(lambda path: 1 / 0)))

@@ -70,12 +70,6 @@ def test_going_through_a_drive_reads_each_frame_once_and_none_for_names() -> Non
     assert sorted(drives.read) == list(range(8))
 
 
-def test_a_frame_that_stands_alone_is_refused_by_name() -> None:
-    alone = Frame("alone", IMAGE, Cloud([[1.0, 2.0, 3.0]]))
-    with pytest.raises(InputError, match="alone: the frame is of no sequence"):
-        JoinedFrames([alone], Numbers())[0]
-
-
 @dataclass
 class TwoCameras(Drives):
     """The same drives, each moment seen by two cameras."""
@@ -106,9 +100,12 @@ class Nameless(Sequence[Frame]):
         return self.drives[index]
 
 
-def test_a_dataset_without_names_is_read_once_for_names_and_cameras() -> None:
+def test_a_dataset_without_names_is_read_once_for_names_and_cameras_and_a_frame_alone_refused() -> None:
     nameless = Nameless()
     joined = JoinedFrames(nameless, Numbers())
     assert [joined.names[i] for i in range(8)] == list(nameless.drives.names)
     assert [joined.camera_name(i) for i in range(8)] == [""] * 8
     assert sorted(nameless.drives.read) == list(range(8))
+    alone = Frame("alone", IMAGE, Cloud([[1.0, 2.0, 3.0]]))
+    with pytest.raises(InputError, match="alone: the frame is of no sequence"):
+        JoinedFrames([alone], Numbers())[0]

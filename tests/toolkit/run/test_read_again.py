@@ -71,9 +71,7 @@ def test_many_frames_are_read_again_and_give_the_same(frames: list[Frame], monke
     assert again.most < len(frames) - 1
 
 
-def test_of_too_many_frames_an_even_subset_is_read_and_the_others_are_counted(
-    frames: list[Frame], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_of_too_many_frames_an_even_subset_is_read(frames: list[Frame], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("p2o.run.run.MOST_JOINT_FRAMES", 3)
     result = joint(Counted(frames))
     assert result.frames == tuple(frames[number].name for number in (0, 2, 4))
@@ -81,9 +79,7 @@ def test_of_too_many_frames_an_even_subset_is_read_and_the_others_are_counted(
     np.testing.assert_array_equal(result.camera_from_lidar, joint(Counted(frames[::2])).camera_from_lidar)
 
 
-def test_a_plain_function_of_many_frames_gets_them_one_at_a_time(
-    frames: list[Frame], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_plain_function_gets_many_frames_one_at_a_time(frames: list[Frame], monkeypatch: pytest.MonkeyPatch) -> None:
     names = []
 
     def whole(given: Sequence[Frame], start: np.ndarray) -> p2o.Result:

@@ -75,18 +75,15 @@ def resolved(**words: Any) -> Any:
     return Recipe.of(**{**WORDS, **words}).resolve(REGISTRY)
 
 
-def test_resolving_builds_nothing_and_reads_nothing() -> None:
-    names = {stage: part.offer.name for stage, part in resolved().parts.items()}
-    assert names == {**WORDS, "data": "synthetic", "extractor": "sided", "cloud": "rings"}
-
-
-def test_what_is_not_said_takes_the_default_of_the_recipe() -> None:
+def test_what_is_not_said_takes_the_default_of_the_recipe_and_resolving_builds_nothing() -> None:
     assert Recipe.of(matcher=None, frames=None, seed=3) == Recipe(seed=3)
     assert Recipe.of(seed=2**63 - 1).seed == 2**63 - 1, "which fits in every store"
     with pytest.raises(InputError, match=r"recipe\.seed is out of bounds; .*than or equal to 9223372036854775807"):
         Recipe.of(seed=2**63)
     with pytest.raises(UnknownNameError, match=r"unknown recipe option 'matchr'.*did you mean matcher"):
         Recipe.of(matchr="ogm")
+    names = {stage: part.offer.name for stage, part in resolved().parts.items()}
+    assert names == {**WORDS, "data": "synthetic", "extractor": "sided", "cloud": "rings"}
 
 
 @pytest.mark.parametrize(
@@ -159,12 +156,15 @@ def test_a_whole_method_takes_the_place_of_the_stages() -> None:
         Recipe.of(data="synthetic:", calibrator="whole", options={"pipeline": {"rounds": 1}}).resolve(REGISTRY)
 
 
-def test_texts_and_values_of_options_mean_the_same() -> None:
+def test_texts_and_values_of_options_mean_the_same_also_of_lists_and_nested_names() -> None:
     by_text = resolved(matcher="nearest", options=parse_settings(["matcher.size=4", "pipeline.reach_px=2e1"]))
     by_value = resolved(matcher="nearest", options={"matcher": {"size": 4}, "pipeline": {"reach_px": 20}})
     assert by_text.described() == by_value.described()
     assert by_text.described()["options"]["matcher"] == {"size": 4, "seed": 0}
     assert by_text.described()["options"]["pipeline"]["reach_px"] == 20.0
+    assert parse_settings(["data.sizes=[1, 2]", "data.a.b=x=y", "data.none=null", "data.size=1", "data.size=2"]) == {
+        "data": {"sizes": [1, 2], "a": {"b": "x=y"}, "none": None, "size": "2"}
+    }
 
 
 @pytest.mark.parametrize(
@@ -183,12 +183,6 @@ def test_texts_and_values_of_options_mean_the_same() -> None:
 def test_bad_options_are_told_with_path_value_and_bound(setting: str, message: str) -> None:
     with pytest.raises(InputError, match=message.replace("?", r"\?")):
         resolved(matcher="nearest", options=parse_settings([setting]))
-
-
-def test_settings_take_lists_null_and_nested_names() -> None:
-    assert parse_settings(["data.sizes=[1, 2]", "data.a.b=x=y", "data.none=null", "data.size=1", "data.size=2"]) == {
-        "data": {"sizes": [1, 2], "a": {"b": "x=y"}, "none": None, "size": "2"}
-    }
 
 
 def test_an_option_called_seed_follows_the_recipes_seed_unless_it_is_set() -> None:
@@ -397,14 +391,11 @@ def test_frames_of_a_result_are_named_by_the_frames() -> None:
     assert p2o.calibrate(frames, joint=True, **words).result.frames == ("a", "b")
 
 
-def test_frames_of_two_rigs_are_not_calibrated_jointly() -> None:
+def test_frames_of_two_rigs_are_not_calibrated_jointly_but_rounded_and_unknown_poses_are_one_rig() -> None:
     spy = Spy([framed("a", TRUTH), framed("b", OTHER)])
     with pytest.raises(InputError, match=r"frames a and b have different extrinsics.*0 deg and 0\.1 m apart"):
         spy.run(joint=True)
     assert len(spy.run().rows) == 2
-
-
-def test_poses_that_files_rounded_frame_by_frame_and_unknown_ones_are_one_rig() -> None:
     rounded = TRUTH @ p2o.se3.exp(np.array([5e-7, 0, -5e-7, 0, 4e-7, 0]))
     spy = Spy([framed("a", TRUTH), framed("b", rounded), framed("c")])
     assert spy.run(joint=True, perturb="2deg 0.1m").result.frames == ("a", "b", "c")

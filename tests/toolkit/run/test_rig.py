@@ -59,7 +59,7 @@ def test_one_place_is_told_in_four_words() -> None:
     assert parse_rig(placed(), "rig").start_of("LEFT") is None
 
 
-def test_a_mapping_of_placed_cameras_alone_is_a_rig() -> None:
+def test_a_mapping_of_placed_cameras_alone_is_a_rig_and_without_a_file_frames_say_their_camera() -> None:
     rig = parse_rig({name: {"camera_from_lidar": rows} for name, rows in ROWS.items()}, "rig.json")
     assert rig.cameras == ("LEFT", "RIGHT")
     names = ["scene-0-LEFT", "scene-0-RIGHT", "RIGHT"]
@@ -71,9 +71,6 @@ def test_a_mapping_of_placed_cameras_alone_is_a_rig() -> None:
     assert groups(rig, ["a-BACK_LEFT", "LEFT"]) == {"LEFT": [1], "BACK_LEFT": [0]}
     with pytest.raises(InputError, match="frame XLEFT is of no camera"):
         groups(rig, ["XLEFT"])
-
-
-def test_without_a_file_frames_say_their_camera() -> None:
     assert groups(Rig.of(True), ["a", "b", "c"], {"a": "R", "b": "L", "c": "R"}) == {"R": [0, 2], "L": [1]}
     assert Rig.of(False) is None
     with pytest.raises(InputError, match="frame b names no camera; expected a camera_name, or a rig file"):
