@@ -53,16 +53,6 @@ def test_exact_pairs_tell_motions_and_pose_and_without_times_the_motion_stays_wh
         assert np.sqrt(np.diag(fit.covariance)) == pytest.approx([8.0, 0.1], rel=1e-6)
 
 
-def test_sweeps_of_one_drive_may_all_differ_from_the_expected_speed_but_one_alone_is_as_stated() -> None:
-    assert PRIOR.covariance_of(1) == pytest.approx(PRIOR.covariance)
-    many = PRIOR.covariance_of(50)
-    assert np.diag(many) == pytest.approx(np.tile(np.diag(PRIOR.covariance), 50))
-    mean = np.kron(np.full((1, 50), 1 / 50), np.eye(2))
-    speed, turn = np.sqrt(np.diag(mean @ many @ mean.T))
-    assert speed > 0.5 * PRIOR.speed_sigma
-    assert turn == pytest.approx(PRIOR.turn_sigma / np.sqrt(50))
-
-
 def test_points_that_are_corrected_already_give_the_same_motions() -> None:
     problem = as_measured(pairs(count=1500))
     known = (EgoMotion(12.0, 0.05), EgoMotion(3.0, -0.1))
@@ -173,12 +163,19 @@ def test_an_expected_motion_needs_deviations_and_motions_and_velocities_have_to_
             fit_with_nuisances(pairs(), NEAR, twists=twists, time=TimeFit())
 
 
-def test_a_twist_turns_to_the_left_about_the_axis_of_the_sensor() -> None:
+def test_a_twist_turns_to_the_left_and_sweeps_of_one_drive_may_all_differ_from_the_expected_speed() -> None:
     assert EgoMotion(10.0, 0.0, (0.0, 2.0, 0.0)).twist == pytest.approx([0, 0, 0, 0, 10, 0])
     ahead = moved(EgoMotion(10.0, 0.5).twist, np.array([0.01]), np.array([[20.0, 0.0, 0.0]]))
     # What stays put is behind by what the car went, seen from where it was: the sensor's frame moved on and turned.
     assert ahead[0] == pytest.approx([20.1, 20 * 0.005, 0], abs=2e-3)
     assert se3.distance_m(se3.exp(EgoMotion(10.0, 0.5).twist * 0.01)) == pytest.approx(0.1, abs=1e-3)
+    assert PRIOR.covariance_of(1) == pytest.approx(PRIOR.covariance)
+    many = PRIOR.covariance_of(50)
+    assert np.diag(many) == pytest.approx(np.tile(np.diag(PRIOR.covariance), 50))
+    mean = np.kron(np.full((1, 50), 1 / 50), np.eye(2))
+    speed, turn = np.sqrt(np.diag(mean @ many @ mean.T))
+    assert speed > 0.5 * PRIOR.speed_sigma
+    assert turn == pytest.approx(PRIOR.turn_sigma / np.sqrt(50))
 
 
 # ---- an offset in time

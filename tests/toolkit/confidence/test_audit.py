@@ -84,7 +84,6 @@ def test_rings_far_apart_show_a_pitch_error_smaller_than_their_distance(
     size: float, word: CheckStatus, sparse_views: list[p2o.View], pipeline: Pipeline
 ) -> None:
     step = edge_step(sparse_views, off("pitch", size), pipeline.matcher, pipeline.options)
-    assert isinstance(step, EdgeStep)
     found = audit(Evidence(("sparse",), off("pitch", size), step), Rates())
     assert found.holding is word
     assert step.error[1] == pytest.approx(size, abs=0.2)
@@ -95,8 +94,6 @@ def test_repeated_outlines_are_no_intervals(sparse_views: list[p2o.View], pipeli
     by_middle = pipeline.options.model_copy(update={"interval_deg": 90.0})
     each = (pipeline.options, by_middle)
     steps = [edge_step(static, off("pitch", 0.5), pipeline.matcher, options) for options in each]
-    assert isinstance(steps[0], EdgeStep)
-    assert isinstance(steps[1], EdgeStep)
     assert steps[0].error.tolist() == steps[1].error.tolist()
 
 

@@ -75,7 +75,6 @@ def test_likely_errors_fall_with_every_frame_and_the_choice_ends_when_they_are_s
 def test_what_stays_open_is_named_with_its_reason() -> None:
     poles = [frame(f"{i}", UPRIGHT, seed=i) for i in range(3)]
     (*_, last) = choose(poles, count=3)
-    assert last.accuracy is not None
     assert last.accuracy.pitch_deg > last.accuracy.yaw_deg
     words = open_axes(last.accuracy, Wanted(90.0, 0.05))
     assert words == ["height"]

@@ -28,12 +28,10 @@ def spread(turn_deg: float, shift_m: float) -> np.ndarray:
 
 def test_what_the_edges_tell_surely_stays_and_a_direction_that_they_leave_open_follows_the_start() -> None:
     found = with_start(POSE, spread(1e-4, 1e-6), away((1, -1, 1), (0.05, 0.05, -0.05)), SIGMA, DEFAULT_ERROR_MODEL)
-    assert found is not None
     np.testing.assert_allclose(found[0], POSE, atol=1e-6)
     likely = spread(0.01, 0.001)
     likely[4, 4] = 100.0
     found = with_start(POSE, likely, away((0, 0, 0), (0.08, 0.08, 0.08)), SIGMA, DEFAULT_ERROR_MODEL)
-    assert found is not None
     np.testing.assert_allclose((found[0] - POSE)[:3, 3], (0, 0.08, 0), atol=2e-3)
     assert se3.angle_deg(found[0] @ se3.inverse(POSE)) < 0.02
 
@@ -42,7 +40,6 @@ def test_what_both_say_is_surer_about_every_axis() -> None:
     likely = spread(0.5, 0.05)
     likely[0, 4] = likely[4, 0] = 0.8 * np.sqrt(likely[0, 0] * likely[4, 4])
     found = with_start(POSE, likely, away((0.2, 0, 0), (0, 0.05, 0)), SIGMA, DEFAULT_ERROR_MODEL)
-    assert found is not None
     assert (np.diag(found[1]) < np.diag(likely)).all()
 
 
@@ -88,12 +85,10 @@ def test_the_result_says_what_the_edges_alone_say_and_what_the_start_changed() -
     both, alone = solved(SIGMA), solved(None)
     assert alone.start_weight is None
     weight = both.start_weight
-    assert weight is not None
     np.testing.assert_array_equal(weight.camera_from_lidar, alone.camera_from_lidar)
     assert weight.accuracy == alone.accuracy
     step = se3.inverse(alone.camera_from_lidar) @ both.camera_from_lidar
     assert (se3.angle_deg(step), se3.distance_m(step)) == (weight.step_deg, weight.step_m)
-    assert both.judged is not None
     assert both.judged.estimate < both.judged.start
     nearer = [se3.distance_m(se3.inverse(both.start) @ r.camera_from_lidar) for r in (both, alone)]
     assert nearer[0] < nearer[1]

@@ -59,12 +59,17 @@ def test_a_slip_is_noticed_on_its_axis_with_its_size_and_its_beginning(axis: str
     assert len(found.frames) == 300
 
 
-def test_frames_that_tell_nothing_leave_the_charts_as_they_are() -> None:
+def test_frames_that_tell_nothing_leave_the_charts_as_they_are_and_more_frames_detect_smaller_slips() -> None:
     told = steps(drive(60, 3))
     told[40] = None
     found = watched(names(60), told, Rule())
     assert found.frames[40].level is None
     assert found.frames[41].level is not None
+    few, some, many = (
+        [one.size for one in watched(names(n), steps(drive(n, 1)), Rule(settle=20)).detectable] for n in (22, 80, 400)
+    )
+    assert few == [None] * 6
+    assert all(a is not None and b is not None and a >= b for a, b in zip(some, many, strict=True))
 
 
 @pytest.mark.parametrize(("number", "count"), [(0, 400), (3, 120)])
@@ -85,11 +90,3 @@ def test_slips_of_the_detectable_size_are_detected_in_about_half_of_the_drives(n
     assert share(0.4) < 0.35
     assert 0.2 <= share(1.0) <= 0.98
     assert share(2.0) >= 0.9
-
-
-def test_more_frames_detect_smaller_slips_and_too_few_none() -> None:
-    few, some, many = (
-        [one.size for one in watched(names(n), steps(drive(n, 1)), Rule(settle=20)).detectable] for n in (22, 80, 400)
-    )
-    assert few == [None] * 6
-    assert all(a is not None and b is not None and a >= b for a, b in zip(some, many, strict=True))

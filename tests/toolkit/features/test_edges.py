@@ -134,7 +134,6 @@ def test_features_hand_on_to_what_they_hold() -> None:
     shift = se3.make(translation=[0, 0, 1])
     features = CloudFeatures(cloud_edges(), XYZ)
     moved = features.moved(shift)
-    assert moved.edges is not None
     assert moved.points is not None
     np.testing.assert_allclose(moved.points - XYZ, np.tile([0, 0, 1], (5, 1)))
     np.testing.assert_allclose(moved.edges.xyz - XYZ, np.tile([0, 0, 1], (5, 1)))
@@ -143,7 +142,6 @@ def test_features_hand_on_to_what_they_hold() -> None:
         (image_edges(), ImageFeatures(image_edges()).without_sides().edges),
         (cloud_edges(), features.without_sides().edges),
     ):
-        assert bare is not None
         assert (bare.side == Side.NONE).all()
         np.testing.assert_array_equal(bare.weight, before.weight)
         assert (before.side == SIDES).all()

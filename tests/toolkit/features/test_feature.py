@@ -65,7 +65,12 @@ def test_features_are_found_by_word_and_count_nothing_where_there_are_none_and_t
     np.testing.assert_allclose(moved.get("cloud-poles").axis[0], MOVE[:3, 2])
 
 
-def test_having_takes_the_place_of_the_same_kind_and_only_what_has_sides_forgets_them() -> None:
+def test_thinning_having_and_forgetting_sides_work_by_kind() -> None:
+    cloud = CloudFeatures(EDGES, XYZ, features=[POLES]).thinned(10)
+    assert [len(feature) for feature in cloud] == [10, 10, 10]
+    np.testing.assert_array_equal(cloud.get("cloud-poles").foot[[0, -1]], XYZ[[0, -1]])
+    assert CloudFeatures(features=[POLES]).thinned(50).get("cloud-poles") is POLES
+    assert len(POLES.thinned(0)) == 0
     cloud = CloudFeatures(EDGES, features=[POLES]).having(EDGES.select(np.arange(3)))
     assert (len(cloud.edges), len(cloud.get("cloud-poles"))) == (3, 50)
     forgotten = CloudFeatures(EDGES, features=[POLES]).without_sides()
@@ -73,14 +78,6 @@ def test_having_takes_the_place_of_the_same_kind_and_only_what_has_sides_forgets
     assert forgotten.get("cloud-poles") is POLES
     # The older way of writing the same as `having`.
     assert len(replace(CloudFeatures(EDGES, features=[POLES]), edges=EDGES.select([0])).edges) == 1
-
-
-def test_thinning_leaves_at_most_so_many_of_each_kind_spread_over_their_order() -> None:
-    cloud = CloudFeatures(EDGES, XYZ, features=[POLES]).thinned(10)
-    assert [len(feature) for feature in cloud] == [10, 10, 10]
-    np.testing.assert_array_equal(cloud.get("cloud-poles").foot[[0, -1]], XYZ[[0, -1]])
-    assert CloudFeatures(features=[POLES]).thinned(50).get("cloud-poles") is POLES
-    assert len(POLES.thinned(0)) == 0
 
 
 def test_points_move_with_their_normals_and_untwist_by_their_own_times() -> None:

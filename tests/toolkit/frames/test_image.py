@@ -8,11 +8,18 @@ CAMERA = Camera.pinhole(5, 5, 3, 2, 7, 5)
 RGB = np.random.default_rng(0).integers(0, 256, (5, 7, 3), dtype=np.uint8)
 
 
-def test_an_image_cannot_be_changed() -> None:
+def test_an_image_cannot_be_changed_and_depth_may_be_unknown_or_sky_but_not_zero() -> None:
     image = Image(RGB, CAMERA, depth_m=np.ones((5, 7)), masked=np.zeros((5, 7), bool))
     for array in (image.rgb, image.depth_m, image.masked):
         with pytest.raises(ValueError, match="read-only"):
             array[0, 0] = 1
+    depth = np.full((5, 7), 2.0)
+    depth[0, 0], depth[0, 1] = np.nan, np.inf
+    image = Image(RGB, CAMERA, depth_m=depth)
+    assert np.array_equal(image.depth_m, depth, equal_nan=True)
+    depth[1, 1] = 0
+    with pytest.raises(InputError, match=r"depth is not positive; .*got 0"):
+        Image(RGB, CAMERA, depth_m=depth)
 
 
 @pytest.mark.parametrize("name", ["rgb", "right"])
@@ -35,16 +42,6 @@ def test_a_size_that_does_not_fit_the_camera_is_refused(name: str) -> None:
         Image(RGB / 255, CAMERA)
     with pytest.raises(InputError, match="expected 7x5 px; got 5x7 px"):
         Image(RGB.transpose(1, 0, 2), CAMERA)
-
-
-def test_depth_may_be_unknown_or_sky_but_not_zero() -> None:
-    depth = np.full((5, 7), 2.0)
-    depth[0, 0], depth[0, 1] = np.nan, np.inf
-    image = Image(RGB, CAMERA, depth_m=depth)
-    assert np.array_equal(image.depth_m, depth, equal_nan=True)
-    depth[1, 1] = 0
-    with pytest.raises(InputError, match=r"depth is not positive; .*got 0"):
-        Image(RGB, CAMERA, depth_m=depth)
 
 
 @pytest.mark.parametrize("half", [{"right": RGB}, {"baseline_m": 0.5}])

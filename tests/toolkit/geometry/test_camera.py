@@ -272,15 +272,14 @@ def test_the_intrinsics_of_an_image_of_another_size_are_named_with_the_factor(mo
     assert float(text.rpartition(" ")[2]) == pytest.approx(scale, rel=0.1)
 
 
-def test_a_centre_outside_the_image_is_named_without_a_factor_if_axes_differ_and_no_other_is_doubted() -> None:
+def test_a_centre_outside_the_image_is_named_no_other_doubted_and_the_extent_that_of_the_corners_up_to_60_degrees() -> (
+    None
+):
     for size, centre in (((1242, 375), (609, 173)), ((1600, 900), (816, 491)), ((1920, 886), (961, 587))):
         assert centre_remark(Camera.pinhole(700, 700, *centre, *size)) == ()
     (text,) = centre_remark(Camera.pinhole(700, 700, 700, 190, 640, 375))
     assert text.startswith("the principal point (700, 190) is outside the image of 640x375 px")
     assert text.endswith("scale fx, fy, cx, cy with the image")
-
-
-def test_the_extent_is_that_of_the_corners_up_to_60_degrees() -> None:
     low, high = Camera.pinhole(100.0, 100.0, 49.5, 29.5, 100, 60).extent()
     np.testing.assert_allclose([low, high], [[-0.495, -0.295], [0.495, 0.295]])
     low, high = Camera.pinhole(10.0, 10.0, 49.5, 29.5, 100, 60).extent()

@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 import p2o
-import p2o_plugins.hooks
 import pytest
 from p2o import Kind, Method, PluginError, Status
 from p2o.host.guard import build
-from p2o.host.registry import Offer, Registry
+from p2o.host.registry import Offer
 from p2o.problems.normal_equations import linearise
 from p2o.solving import LeastSquares, Objective, PointToLine, Problem
 from p2o_plugins.solve import bfgs, lm, nelder_mead
@@ -20,6 +19,7 @@ from p2o_testing import stage
 
 from tests.edge_scene import TRUTH
 from tests.plugins.solve.exact_pairs import NEAR, pairs
+from tests.toolkit.offered import registry_with
 
 COUNT = 30
 POSES = np.stack([np.eye(4)] * 3)
@@ -309,15 +309,11 @@ class Failing(p2o.MatcherBase):
 def test_a_frame_that_fails_in_a_problem_or_judge_ends_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("P2O_STRICT", raising=False)  # which would raise every fault of a plugin
 
-    class Plugin:
-        @p2o.hookimpl
-        def p2o_matchers(self) -> Any:
-            needs, gives = {"image-edges", "cloud-edges"}, {"objective"}
-            yield Method(name="failing", build=lambda _: Failing(), summary="A test.", needs=needs, gives=gives)
-
+    needs, gives = {"image-edges", "cloud-edges"}, {"objective"}
+    method = Method(name="failing", build=lambda _: Failing(), summary="A test.", needs=needs, gives=gives)
     run = p2o.calibrate(
         stage.drive(),
-        registry=Registry.of(p2o_plugins.hooks, Plugin()),
+        registry=registry_with((Kind.MATCHER, method)),
         extractor="depth/rings",
         matcher="failing",
         solver="nelder-mead",

@@ -34,12 +34,17 @@ def _has(path: Path, letter: str) -> bool:
     return bool((np.abs(rgb - COLOURS[letter]).max(axis=2) <= 2).sum() > 200)
 
 
-def test_matches_are_drawn_in_the_colours_of_their_directions(tmp_path: Path) -> None:
+def test_matches_are_drawn_in_the_colours_of_their_directions_by_the_same_bytes(tmp_path: Path) -> None:
     path = tmp_path / "convergence.png"
     nan = float("nan")
     rounds = (_round({}, nan), _round({"L": 40, "U": 80}), _round({"L": 50, "U": 90}, accepted=False))
     convergence(_result(rounds), path)
     assert {letter: _has(path, letter) for letter in COLOURS} == {"L": True, "R": False, "U": True, "B": False}
+    for name in ("a.png", "b.png"):
+        convergence(_result((_round({"L": 4}), _round({"L": 5}))), tmp_path / name)
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    with pytest.raises(InputError, match="cannot write the file"):
+        convergence(_result(()), tmp_path / "nowhere" / "convergence.png")
 
 
 @pytest.mark.parametrize("rounds", [(), (_round({"-": 12}),)])
@@ -48,14 +53,6 @@ def test_a_result_without_rounds_or_directions_can_be_drawn(tmp_path: Path, roun
     convergence(_result(rounds), path)
     assert path.read_bytes().startswith(b"\x89PNG")
     assert not any(_has(path, letter) for letter in COLOURS)
-
-
-def test_the_same_result_gives_the_same_bytes(tmp_path: Path) -> None:
-    for name in ("a.png", "b.png"):
-        convergence(_result((_round({"L": 4}), _round({"L": 5}))), tmp_path / name)
-    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
-    with pytest.raises(InputError, match="cannot write the file"):
-        convergence(_result(()), tmp_path / "nowhere" / "convergence.png")
 
 
 def test_costs_in_another_unit_have_a_panel_of_their_own() -> None:

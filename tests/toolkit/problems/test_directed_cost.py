@@ -68,7 +68,7 @@ def test_coarse_quick_and_truncated_costs_agree_with_the_fine_smooth_one() -> No
     np.testing.assert_allclose(cost(40.0).truncated(10.0)(poses), cost(10.0)(poses), rtol=1e-3)
 
 
-def test_weights_count_and_views_add_up() -> None:
+def test_weights_count_views_add_up_and_of_many_views_an_even_subset_is_kept() -> None:
     view = edge_scene.view()
     edges = view.cloud_edges
     doubled = replace(view, cloud=CloudFeatures(replace(edges, weight=np.full(len(edges), 2.0))))
@@ -76,6 +76,12 @@ def test_weights_count_and_views_add_up() -> None:
     single = DirectedCost.of([view], edge_scene.TRUTH, 20.0).at(pose)
     assert DirectedCost.of([doubled], edge_scene.TRUTH, 20.0).at(pose) == pytest.approx(single, rel=1e-5)
     assert DirectedCost.of([view, doubled], edge_scene.TRUTH, 20.0).at(pose) == pytest.approx(single, rel=1e-5)
+    views = [one_edge(Side.LEFT, Side.LEFT)] * 3 + [one_edge(Side.RIGHT, Side.LEFT)] * 5
+    cost = DirectedCost.of(views, np.eye(4), 20.0, max_views=4)
+    assert [part.view for part in cost.parts] == [0, 2, 4, 6]
+    assert cost.at(np.eye(4)) == pytest.approx(10.0)  # two of the four meet their edge
+    everything = DirectedCost.of(views, np.eye(4), 20.0, max_views=8)
+    assert everything.at(np.eye(4)) == DirectedCost.of(views, np.eye(4), 20.0).at(np.eye(4))
 
 
 @pytest.mark.parametrize("distance_m", [5.0, 20.0])
@@ -145,15 +151,6 @@ def test_few_edges_and_many_have_the_distances_of_a_brute_force_search(truncate_
         asked = rng.integers(0, [found.shape[1], found.shape[0]], (300, 2))
         nearest = np.linalg.norm(asked[:, None] - cells[None], axis=2).min(axis=1) * scale
         assert found[asked[:, 1], asked[:, 0]] == pytest.approx(np.minimum(nearest, truncate_px), abs=1e-5)
-
-
-def test_of_many_views_an_even_subset_is_kept_with_the_numbers_of_its_views() -> None:
-    views = [one_edge(Side.LEFT, Side.LEFT)] * 3 + [one_edge(Side.RIGHT, Side.LEFT)] * 5
-    cost = DirectedCost.of(views, np.eye(4), 20.0, max_views=4)
-    assert [part.view for part in cost.parts] == [0, 2, 4, 6]
-    assert cost.at(np.eye(4)) == pytest.approx(10.0)  # two of the four meet their edge
-    everything = DirectedCost.of(views, np.eye(4), 20.0, max_views=8)
-    assert everything.at(np.eye(4)) == DirectedCost.of(views, np.eye(4), 20.0).at(np.eye(4))
 
 
 def test_costs_of_the_same_image_edges_share_their_maps_while_one_of_them_lives() -> None:

@@ -51,15 +51,12 @@ def test_the_likelihood_is_flat_while_the_edge_is_inside_the_interval_and_falls_
     assert values[0] == pytest.approx(np.log(1 - share), abs=1e-3)
 
 
-def test_an_interval_without_length_has_the_likelihood_of_a_point() -> None:
+def test_an_interval_without_length_has_the_likelihood_of_a_point_and_only_edges_of_the_same_side_count() -> None:
     likelihood = IntervalLikelihood.of([one_interval(Side.UPPER, 0.0)], np.eye(4), SIGMA_PX)
     share, shifts = likelihood.shares[Side.UPPER], np.linspace(-6, 6, 7)
     density = norm.pdf(shifts, scale=SIGMA_PX) / EXPECTED
     # The integral is linear between pixels, which makes the error wider by a few percent.
     np.testing.assert_allclose(likelihood(shifted(Side.UPPER, shifts)), np.log(1 - share + share * density), atol=0.12)
-
-
-def test_only_image_edges_of_the_same_side_count() -> None:
     view = one_interval(Side.UPPER, 20.0)
     other = replace(view.image_edges, side=np.full(len(view.image_edges), Side.BOTTOM, np.int8))
     for edges in (other, ImageEdges.empty()):

@@ -29,7 +29,7 @@ def test_the_covariance_foretells_the_scatter_of_repeated_solutions(outliers: fl
     assert np.mean(squares) == pytest.approx(6.0, abs=1.6)
 
 
-def test_half_the_noise_gives_half_the_deviations() -> None:
+def test_half_the_noise_gives_half_the_deviations_and_residuals_beyond_an_image_are_constant() -> None:
     one = pairs(noise_px=0.4)
     wide = replace(one, huber_px=100.0)  # no residual reaches the kernel, so everything scales
     # A scaled shift of every line: the residuals at the truth are halved exactly.
@@ -37,6 +37,11 @@ def test_half_the_noise_gives_half_the_deviations() -> None:
     half = replace(wide, centre=shifted)
     full, less = (covariance(p, *linearise(p, TRUTH)) for p in (wide, half))
     assert np.sqrt(np.diag(less)) == pytest.approx(0.5 * np.sqrt(np.diag(full)), rel=1e-9)
+    problem = pairs(count=5)
+    problem = replace(problem, centre=problem.centre + 5000.0 * problem.normal)
+    residuals, jacobian = linearise(problem, TRUTH)
+    assert residuals == pytest.approx(-problem.far_px)
+    assert not jacobian.any()
 
 
 def test_the_gradient_is_the_derivative_of_the_cost_and_both_hessians_agree_within_the_kernel() -> None:
@@ -49,14 +54,6 @@ def test_the_gradient_is_the_derivative_of_the_cost_and_both_hessians_agree_with
     rows = linearise(problem, TRUTH)
     bounding, exact = (normal_equations(problem, *rows, newton=newton)[0] for newton in (False, True))
     assert bounding == pytest.approx(exact, rel=1e-12)
-
-
-def test_residuals_beyond_an_image_are_constant() -> None:
-    problem = pairs(count=5)
-    problem = replace(problem, centre=problem.centre + 5000.0 * problem.normal)
-    residuals, jacobian = linearise(problem, TRUTH)
-    assert residuals == pytest.approx(-problem.far_px)
-    assert not jacobian.any()
 
 
 @pytest.mark.parametrize("axis", range(6))

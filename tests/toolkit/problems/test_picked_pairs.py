@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from p2o import InputError
 from p2o.problems.picked_pairs import PickedPairs, read_pairs, write_pairs
@@ -71,6 +71,7 @@ def test_anything_else_is_refused_with_its_place(tmp_path: Path, text: str, word
 _plain = st.floats(-1e7, 1e7).map(lambda x: round(x, 3))
 
 
+@settings(max_examples=40)
 @given(st.lists(st.tuples(*[_plain] * 5), max_size=5))
 def test_any_numbers_are_read_again(tmp_path_factory: pytest.TempPathFactory, rows: list[tuple[float, ...]]) -> None:
     table = np.reshape(rows, (-1, 5))

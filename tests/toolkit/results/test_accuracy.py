@@ -32,13 +32,13 @@ def test_deviations_are_the_root_mean_square_errors_of_poses_that_scatter_so() -
     # The LiDAR a metre from the camera: turns about the camera move it.
     pose = np.array(TRUTH)
     pose[:3, 3] = 0.3, -0.8, 0.5
-    draws = np.random.default_rng(1).multivariate_normal(np.zeros(6), covariance(), 4000)
+    draws = np.random.default_rng(1).multivariate_normal(np.zeros(6), covariance(), 1500)
     errors = [pose_error(se3.exp(draw) @ pose, pose) for draw in draws]
     rotation, translation = (
         np.sqrt(np.mean(np.square(values)))
         for values in ([e.rotation_deg for e in errors], [e.translation_m for e in errors])
     )
-    assert deviations(covariance(), pose) == pytest.approx((rotation, translation), rel=0.03)
+    assert deviations(covariance(), pose) == pytest.approx((rotation, translation), rel=0.05)
 
 
 def met(near: float, places: int = 80) -> Agreement:
@@ -74,12 +74,18 @@ def test_errors_fall_with_the_odds_without_a_step_back_and_none_count_as_the_wor
     assert np.isfinite(nothing.rotation_deg_95)
 
 
-def test_agreement_in_few_places_widens_all_errors_alike() -> None:
+def test_agreement_in_few_places_widens_all_errors_alike_but_those_of_intervals() -> None:
     many, few = (likely_accuracy(spread(covariance()), TRUTH, met(0.25, places)) for places in (400, 5))
     ratio = few.rotation_deg / many.rotation_deg
     assert ratio > 1.5
     for name in ("translation_m", "rotation_deg_95", "translation_m_95", "yaw_deg", "z_m"):
         assert getattr(few, name) / getattr(many, name) == pytest.approx(ratio)
+    budget = replace(spread(covariance()), intervals=True)
+    weak, strong = (likely_accuracy(budget, TRUTH, met(near, 400)) for near in (0.1, 0.5))
+    assert weak == strong
+    more = likely_accuracy(replace(spread(covariance() / 4), views=4.0, intervals=True), TRUTH, met(0.1, 400))
+    assert 0.45 < more.rotation_deg / weak.rotation_deg < 0.65
+    assert 0.45 < more.translation_m / weak.translation_m < 0.65
 
 
 def test_a_direction_that_nothing_determines_widens_its_own_axis_only() -> None:
@@ -137,15 +143,6 @@ def test_no_number_of_frames_promises_what_the_sensors_calibrations_do_not_give(
         )
         assert found.rotation_deg == pytest.approx(np.sqrt(3) * turn * model.rotation[0], rel=1e-3)
         assert found.translation_m == pytest.approx(np.sqrt(3) * shift * model.translation[0], rel=1e-3)
-
-
-def test_the_error_of_intervals_does_not_depend_on_their_odds_and_falls_with_the_number_of_views() -> None:
-    budget = replace(spread(covariance()), intervals=True)
-    weak, strong = (likely_accuracy(budget, TRUTH, met(near, 400)) for near in (0.1, 0.5))
-    assert weak == strong
-    more = likely_accuracy(replace(spread(covariance() / 4), views=4.0, intervals=True), TRUTH, met(0.1, 400))
-    assert 0.45 < more.rotation_deg / weak.rotation_deg < 0.65
-    assert 0.45 < more.translation_m / weak.translation_m < 0.65
 
 
 def test_a_rival_that_fits_as_well_is_how_far_off_the_worst_may_be() -> None:

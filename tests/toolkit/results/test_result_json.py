@@ -193,5 +193,4 @@ def test_a_start_that_was_weighed_in_and_the_camera_come_back() -> None:
     result = replace(_result(), start_weight=weight, intrinsics=camera)
     again = result_from_json(result_to_json(result))
     assert again.intrinsics == camera
-    assert again.start_weight is not None
     np.testing.assert_array_equal(again.start_weight.camera_from_lidar, np.eye(4))

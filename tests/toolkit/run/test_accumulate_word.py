@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 import p2o
 import pytest
-from p2o import Cloud, Frame, InputError, Method, PluginError, Recipe, Registry
+from p2o import Cloud, Frame, InputError, Kind, Method, PluginError, Recipe, Registry
 from p2o_testing import stage
+
+from tests.toolkit.offered import registry_with
 
 
 class Frames(list[Frame]):
@@ -37,26 +39,13 @@ def drive(sequences: str = "aaab") -> Frames:
 
 
 def registry(make: object) -> Registry:
-    class Plugin:
-        @p2o.hookimpl
-        def p2o_accumulators(self):
-            yield Method(
-                name="joins", build=lambda options: make, summary="Joins.", needs={"sequence"}, gives={"dense"}
-            )
+    def beams(options):
+        return lambda cloud: p2o.CloudFeatures(p2o.CloudEdges.empty())
 
-        @p2o.hookimpl
-        def p2o_cloud_extractors(self):
-            def build(options):
-                return lambda cloud: p2o.CloudFeatures(p2o.CloudEdges.empty())
-
-            gives = {"cloud-edges", "side"}
-            yield Method(name="beams", build=build, summary="Needs rings.", needs={"rings"}, gives=gives)
-
-    import p2o_baselines.hooks
-    import p2o_datasets.hooks
-    import p2o_plugins.hooks
-
-    return Registry.of(p2o_datasets.hooks, p2o_plugins.hooks, p2o_baselines.hooks, Plugin())
+    joins = Method(name="joins", build=lambda options: make, summary="Joins.", needs={"sequence"}, gives={"dense"})
+    gives = {"cloud-edges", "side"}
+    needy = Method(name="beams", build=beams, summary="Needs rings.", needs={"rings"}, gives=gives)
+    return registry_with((Kind.ACCUMULATOR, joins), (Kind.CLOUD_EXTRACTOR, needy))
 
 
 def test_what_needs_rings_is_refused_where_sweeps_are_joined() -> None:

@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 import p2o
 import pytest
-from p2o import Frame, InputError, Method, Recipe, Registry, Result, Status, UnknownNameError
+from p2o import Frame, InputError, Kind, Method, Recipe, Registry, Result, Status, UnknownNameError
 from p2o.host.slots import WITNESS, WITNESS_STAGES
 from p2o.solving import Doubt
 from p2o_testing import stage
+
+from tests.toolkit.offered import registry_with
 
 TRUTH = stage.camera_from_lidar()
 START = TRUTH @ p2o.se3.exp(np.array([0.01, 0, 0, 0.02, 0, 0]))
@@ -32,16 +34,9 @@ class Claims:
         return Result(names, start, self.pose, Status.CONVERGED, "it says so")
 
 
-def registry(stage_of_method: Any) -> Registry:
-    class Plugin:
-        @p2o.hookimpl
-        def p2o_calibrators(self):
-            yield Method(name="claims", build=lambda options: stage_of_method, summary="Says a pose.")
-
-    import p2o_baselines.hooks
-    import p2o_plugins.hooks
-
-    return Registry.of(p2o_plugins.hooks, p2o_baselines.hooks, Plugin())
+def registry(stage_of_method: Any, alone: bool = False) -> Registry:
+    method = Method(name="claims", build=lambda options: stage_of_method, summary="Says a pose.")
+    return registry_with((Kind.CALIBRATOR, method), alone=alone)
 
 
 def result_of(stage_of_method: Any, **words: Any) -> Result:
@@ -68,13 +63,7 @@ def test_a_witness_that_is_named_must_be_there_and_the_usual_one_need_not() -> N
         result_of(Claims(TRUTH), witness="dept/rings")
     with pytest.raises(InputError, match="--witness is a pair of methods"):
         result_of(Claims(TRUTH), witness="depth")
-
-    class Alone:
-        @p2o.hookimpl
-        def p2o_calibrators(self):
-            yield Method(name="claims", build=lambda options: Claims(TRUTH), summary="Says a pose.")
-
-    plan = Recipe.of(data=None, calibrator="claims").resolve(Registry.of(Alone()))
+    plan = Recipe.of(data=None, calibrator="claims").resolve(registry(Claims(TRUTH), alone=True))
     assert not set(plan.parts) & set(WITNESS)
     assert plan.assembly()([stage.frame()], START).verdict.reasons[0].doubt is Doubt.NOT_CHECKED
 
@@ -115,20 +104,10 @@ class Own(p2o.InitializerBase):
         return [start]
 
 
-def with_own(own: Own) -> Registry:
-    class Plugin:
-        @p2o.hookimpl
-        def p2o_initializers(self):
-            yield Method(name="own", build=lambda options: own, summary="Prepares.", needs={"sequence"})
-
-    import p2o_plugins.hooks
-
-    return Registry.of(p2o_plugins.hooks, Plugin())
-
-
 def test_an_initializer_may_prepare_frames_and_finds_that_in_its_views_and_frames_hold_what_it_needs() -> None:
     own = Own()
-    plan = Recipe.of(data=None, extractor="depth/rings", init="own").resolve(with_own(own))
+    method = Method(name="own", build=lambda options: own, summary="Prepares.", needs={"sequence"})
+    plan = Recipe.of(data=None, extractor="depth/rings", init="own").resolve(registry_with((Kind.INITIALIZER, method)))
     assembly = plan.assembly()
     assert tuple(assembly.stages) == ("extractor", "cloud", "init")
     assembly(stage.drive(), START)
@@ -142,22 +121,11 @@ def test_an_initializer_may_prepare_frames_and_finds_that_in_its_views_and_frame
 
 
 @pytest.mark.parametrize(
-    ("build", "text"),
-    [
-        (lambda options: 3, "build returned int; expected prepare"),
-        (lambda options: lambda f, s: None, "returned NoneType"),
-    ],
+    ("method", "text"), [(3, "build returned int; expected prepare"), (lambda f, s: None, "returned NoneType")]
 )
-def test_a_calibrator_that_is_none_names_its_plugin(build, text: str) -> None:
-    class Plugin:
-        @p2o.hookimpl
-        def p2o_calibrators(self):
-            yield Method(name="broken", build=build, summary="Broken.")
-
-    with pytest.raises(p2o.PluginError, match=f"calibrator 'broken'.*{text}"):
-        Recipe.of(data=None, calibrator="broken", witness="none").resolve(Registry.of(Plugin())).assembly()(
-            [stage.frame()], START
-        )
+def test_a_calibrator_that_is_none_names_its_plugin(method: Any, text: str) -> None:
+    with pytest.raises(p2o.PluginError, match=f"calibrator 'claims'.*{text}"):
+        result_of(method, witness="none")
 
 
 def test_a_resolved_recipe_with_a_witness_resolves_again_and_stages_with_edges_need_none() -> None:

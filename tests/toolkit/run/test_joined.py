@@ -55,7 +55,6 @@ def test_a_frame_is_joined_with_its_neighbours_of_the_same_drive(index: int, see
     frame = JoinedFrames(Drives(), accumulate)[index]
     own = range(8)[index]
     assert frame.cloud.xyz[:, 1].tolist() == [own, *sees]
-    assert frame.sweep is not None
     assert frame.sweep.xyz[:, 1].tolist() == [own]
     assert frame.camera_from_lidar is not None
     assert all(seen.camera_from_lidar is None for frames in accumulate.seen for seen in frames), "never the truth"

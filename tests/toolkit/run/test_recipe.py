@@ -18,6 +18,8 @@ from p2o.run.words import parse_settings, split_data
 from p2o_formats import hooks as formats
 from p2o_testing import stage
 
+from tests.toolkit.offered import registry_with
+
 
 class Sized(p2o.Options):
     size: int = p2o.field(3, ge=1, le=9, help="A size.")
@@ -127,12 +129,9 @@ def test_an_extractor_is_a_pair(extractor: str) -> None:
     ],
 )
 def test_a_method_may_need_what_only_frames_of_drives_or_with_targets_hold(word: str, held: dict[str, Any]) -> None:
-    class Asking:
-        @p2o.hookimpl
-        def p2o_calibrators(self) -> list[Method]:
-            return [Method(name="asking", build=never, summary="A test.", needs=frozenset({word}))]
-
-    plan = Recipe.of(data="synthetic:", calibrator="asking").resolve(Registry.of(acme=Offered(), other=Asking()))
+    method = Method(name="asking", build=never, summary="A test.", needs=frozenset({word}))
+    recipe = Recipe.of(data="synthetic:", calibrator="asking", witness="none")
+    plan = recipe.resolve(registry_with((Kind.CALIBRATOR, method)))
     frame = stage.frame()
     with pytest.raises(InputError, match=f"the frame has no {word}; asking needs it"):
         plan.check_frame(frame)
@@ -185,11 +184,16 @@ def test_bad_options_are_told_with_path_value_and_bound(setting: str, message: s
         resolved(matcher="nearest", options=parse_settings([setting]))
 
 
-def test_an_option_called_seed_follows_the_recipes_seed_unless_it_is_set() -> None:
+def test_an_option_called_seed_follows_the_recipes_seed_and_the_description_of_a_plan_repeats_it() -> None:
     plan = resolved(matcher="nearest", seed=5, options={"solver": {"seed": 1}})
     seeds = {stage: part.options.seed for stage, part in plan.parts.items() if hasattr(part.options, "seed")}
     assert seeds == {"data": 5, "matcher": 5, "solver": 1}
     assert resolved(data="synthetic:?seed=2", seed=5).parts["data"].options.seed == 2
+    plan = resolved(matcher="nearest", perturb="2deg 0.1m", seed=4, joint=True, options={"solver": {"size": 2}})
+    again = Recipe.of(**plan.described()).resolve(REGISTRY)
+    assert again.described() == plan.described()
+    whole = Recipe.of(data="synthetic:", calibrator="whole").resolve(REGISTRY)
+    assert Recipe.of(**whole.described()).resolve(REGISTRY).described() == whole.described()
 
 
 @pytest.mark.parametrize(
@@ -212,7 +216,6 @@ def test_data_text_is_a_dataset_a_path_and_options(
 
 def test_a_dataset_with_and_without_a_path() -> None:
     options = resolved(data="files:/a?scenes=2").parts["data"].options
-    assert isinstance(options, Rooted)
     assert (options.root, options.scenes) == ("/a", 2)
     with pytest.raises(InputError, match="dataset files needs a path; expected files:PATH"):
         resolved(data="files:")
@@ -226,14 +229,6 @@ def test_a_dataset_with_and_without_a_path() -> None:
         resolved(data="fils:/a")
     with pytest.raises(InputError, match="--perturb: cannot read the size"):
         resolved(perturb="two degrees", data="files:/a")
-
-
-def test_the_description_of_a_plan_repeats_it() -> None:
-    plan = resolved(matcher="nearest", perturb="2deg 0.1m", seed=4, joint=True, options={"solver": {"size": 2}})
-    again = Recipe.of(**plan.described()).resolve(REGISTRY)
-    assert again.described() == plan.described()
-    whole = Recipe.of(data="synthetic:", calibrator="whole").resolve(REGISTRY)
-    assert Recipe.of(**whole.described()).resolve(REGISTRY).described() == whole.described()
 
 
 def test_an_export_is_a_name_and_a_path(tmp_path: Any) -> None:
@@ -380,13 +375,9 @@ class Unnamed:
 
 
 def test_frames_of_a_result_are_named_by_the_frames() -> None:
-    class Plugin:
-        @p2o.hookimpl
-        def p2o_calibrators(self) -> Any:
-            yield Method(name="unnamed", build=lambda options: Unnamed(), summary="A test.")
-
-    frames = [framed("a", TRUTH), framed("b", TRUTH)]
-    words: dict[str, Any] = {"calibrator": "unnamed", "witness": "none", "registry": Registry.of(acme=Plugin())}
+    method = Method(name="unnamed", build=lambda options: Unnamed(), summary="A test.")
+    frames, registry = [framed("a", TRUTH), framed("b", TRUTH)], registry_with((Kind.CALIBRATOR, method))
+    words: dict[str, Any] = {"calibrator": "unnamed", "witness": "none", "registry": registry}
     assert [row.result.frames for row in p2o.calibrate(frames, **words).rows] == [("a",), ("b",)]
     assert p2o.calibrate(frames, joint=True, **words).result.frames == ("a", "b")
 

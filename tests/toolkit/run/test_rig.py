@@ -24,7 +24,6 @@ def placed(word: str = "camera_from_body", **more: Any) -> dict[str, Any]:
 
 def groups(rig: Rig | None, names: list[str], said: dict[str, str] | None = None) -> dict[str, list[int]]:
     """Return the frames by camera; `said` are the cameras that frames name."""
-    assert rig is not None
     return rig.groups(names, range(len(names)), lambda index: (said or {}).get(names[index], ""))[0]
 
 
@@ -35,7 +34,6 @@ def test_a_rig_file_tells_frames_and_places(tmp_path: Path, suffix: str) -> None
     path = tmp_path / f"rig.{suffix}"
     path.write_text(yaml.safe_dump(content) if suffix == "yaml" else json.dumps(content))
     rig = Rig.of(str(path))
-    assert rig is not None
     assert rig.cameras == ("LEFT", "RIGHT")
     np.testing.assert_allclose(rig.camera_from_body["RIGHT"], RIGHT, atol=1e-12)
     body_from_lidar = se3.make([[0, -1, 0], [1, 0, 0], [0, 0, 1]], [1, 0, 2])
@@ -168,6 +166,5 @@ def test_a_place_against_the_lidar_may_be_a_calibration_file_beside_the_rig_file
         np.savetxt(tmp_path / f"{name}.txt", pose)
     (tmp_path / "rig.yaml").write_text("front: {camera_from_lidar: front.txt}\nleft: {camera_from_lidar: left.txt}\n")
     rig = Rig.of(str(tmp_path / "rig.yaml"))
-    assert rig is not None
     np.testing.assert_allclose(rig.start_of("left"), pose, atol=1e-12)
     assert "does not state a direction" in rig.warnings["left"][0]

@@ -32,16 +32,13 @@ def test_a_run_is_solved_if_every_frame_is(run: Run, solved: bool) -> None:
     assert run.solved is solved
 
 
-def test_only_errors_of_solved_results_are_summarised_and_every_result_is_counted() -> None:
+def test_errors_of_solved_results_are_summarised_every_result_is_counted_and_a_run_with_one_has_it() -> None:
     rows = (row("a", shift_m=0.1), row("b", shift_m=0.3), row("c", Status.NO_EDGES, shift_m=5.0))
     summary = Run(rows, failed=(BAD,)).summary
     assert (summary["count"], summary["solved"], summary["failed"]) == (3, 2, 1)
     assert summary["status"] == {"converged": 2, "no-edges": 1}
     assert summary["error"]["translation_m_mean"] == pytest.approx(0.2)
     assert summary["start"]["translation_m_mean"] == pytest.approx(0.4)
-
-
-def test_the_result_is_that_of_a_run_with_one() -> None:
     assert Run((row("a"),)).result.frames == ("a",)
     with pytest.raises(InputError, match=r"this run has 2 results; expected one; look at \.rows"):
         _ = Run((row("a"), row("b"))).result
