@@ -44,10 +44,10 @@ def test_what_both_say_is_surer_about_every_axis() -> None:
 
 
 def test_errors_become_smaller_where_both_are_as_good_as_they_say() -> None:
-    """A thousand poses and starts, wrong by the deviations that are told."""
+    """Three hundred poses and starts, wrong by the deviations that are told."""
     rng = np.random.default_rng(0)
     alone, mean = [], []
-    for _ in range(1000):
+    for _ in range(300):
         turn, shift = rng.normal(0, 0.4, 3), rng.normal(0, 0.1, 3)
         pose = away(tuple(turn), tuple(shift))
         start = away(tuple(rng.normal(0, SIGMA[0], 3)), tuple(rng.normal(0, SIGMA[1], 3)))
@@ -55,8 +55,8 @@ def test_errors_become_smaller_where_both_are_as_good_as_they_say() -> None:
         if found is not None:
             alone.append(np.linalg.norm(shift))
             mean.append(p2o.pose_error(found[0], POSE).translation_m)
-    assert len(mean) > 970
-    assert np.mean(mean) == pytest.approx(np.mean(alone) / np.sqrt(2), rel=0.05)
+    assert len(mean) > 290
+    assert np.mean(mean) == pytest.approx(np.mean(alone) / np.sqrt(2), rel=0.08)
 
 
 @pytest.mark.parametrize(

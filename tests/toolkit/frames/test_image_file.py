@@ -29,6 +29,7 @@ def test_channels_come_as_red_green_blue_grey_is_repeated_with_a_warning_and_alp
     assert np.array_equal(read, written)
     assert warnings == ()
     written = write_image(tmp_path / "a.png", grey=True)
+    read, warnings = read_rgb(tmp_path / "a.png")
     assert all(np.array_equal(read[:, :, c], written) for c in range(3))
     assert warnings == ("a.png: grey image, repeated on three channels",)
     with_alpha = np.random.default_rng(0).integers(0, 256, (8, 9, 4), dtype=np.uint8)

@@ -94,6 +94,7 @@ def test_sweeps_may_tremble_about_their_fit_but_not_go_on_moving(monkeypatch: py
     unconverged(monkeypatch, se3.exp(np.array([0.0, 0.0, 1e-4, 1e-3, 0.0, 0.0])))
     _, pose = poses_by_gicp(drive(2))
     assert se3.distance_m(se3.inverse(STEP) @ pose) < 0.02
+    monkeypatch.undo()
     unconverged(monkeypatch, se3.exp(np.array([0.0, 0.0, 0.0, 0.05, 0.0, 0.0])))
     with pytest.raises(InputError, match=r"changes by <= 0\.02 deg and 0\.005 m; got .+ deg and 0\.05 m"):
         poses_by_gicp(drive(2))

@@ -130,7 +130,7 @@ def test_an_extractor_is_a_pair(extractor: str) -> None:
 )
 def test_a_method_may_need_what_only_frames_of_drives_or_with_targets_hold(word: str, held: dict[str, Any]) -> None:
     method = Method(name="asking", build=never, summary="A test.", needs=frozenset({word}))
-    recipe = Recipe.of(data="synthetic:", calibrator="asking", witness="none")
+    recipe = Recipe.of(data=None, calibrator="asking", witness="none")
     plan = recipe.resolve(registry_with((Kind.CALIBRATOR, method)))
     frame = stage.frame()
     with pytest.raises(InputError, match=f"the frame has no {word}; asking needs it"):
