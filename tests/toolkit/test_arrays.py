@@ -25,15 +25,12 @@ def test_leaves_are_named_by_field_place_and_key() -> None:
     assert found["size"] == 7
 
 
-def test_a_value_without_parts_is_its_own_leaf() -> None:
+def test_a_value_without_parts_is_its_own_leaf_and_what_is_empty_has_none() -> None:
     for value in (np.zeros(3), "text", 1.5, None, Box, {1, 2}):
         [(name, leaf)] = leaves(value)
         assert name == ""
         assert leaf is value
         assert parts(value) is None
-
-
-def test_what_is_empty_has_parts_but_no_leaves() -> None:
     for value in ((), [], {}):
         assert parts(value) == []
         assert list(leaves(value)) == []

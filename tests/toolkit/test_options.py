@@ -45,35 +45,29 @@ def told(within: str = "", where: object = None, **values: Any) -> str:
     return str(caught.value)
 
 
-def test_good_values_make_the_model() -> None:
+def test_a_bound_is_told_apart_from_another_form_and_faults_of_the_whole_do_not_show_all_of_it() -> None:
+    assert told(rule="firm") == "rule is not valid; expected 'hard' or 'soft'; got firm"
+    assert told(name="").startswith("name is not valid; expected string should match")
+    assert told(name="odd") == "name is out of bounds; expected a name that is not odd; got odd"
+    assert told(name="").endswith("got nothing")
+    assert told(crop={"height": 13}) == "the value is out of bounds; expected no crop of height 13"
+    assert told("w", crop={"height": 13}) == "w is out of bounds; expected no crop of height 13"
+    with pytest.raises(InputError, match="the value is not valid; expected a valid dictionary"):
+        validated(Words, [1])
+
+
+def test_the_first_fault_is_told_with_its_path_and_the_number_of_others_and_what_is_missing() -> None:
+    with pytest.raises(InputError) as caught:
+        validated(Words, {}, where="a.toml")
+    assert str(caught.value) == "a.toml: name is missing; expected a value: it has no default"
     assert validated(Words, {"name": "a", "crop": {"width": "3"}}, "words").crop == Crop(width=3)
-
-
-def test_the_first_fault_is_told_with_its_path_and_the_number_of_others() -> None:
     text = "w.crop.width is out of bounds; expected less than or equal to 99; got 100; 1 further faults"
     assert told("w", crop={"width": 100, "height": 0}) == text
     assert told(crops=[{}, {"height": "x"}]).startswith("crops.1.height is not valid; expected a valid integer")
     assert told(either=[1]) == "either is not valid; expected a valid boolean; got [1]; 1 further faults"
     assert told(by_name={"b": {"width": 0}}, where="a.yaml").startswith("a.yaml: by_name.b.width is out of bounds;")
-
-
-def test_names_that_pydantic_gives_to_alternatives_are_left_out() -> None:
-    assert told(either=[1, "x"]).startswith("either")
-    assert "tuple[" not in told(either=[1, "x"]).partition(";")[0]
     assert told(speeds={"quick": 1.0}).startswith("speeds.quick is not valid; expected 'fast' or 'slow'")
-
-
-def test_a_bound_is_told_apart_from_a_value_of_another_form() -> None:
-    assert told(rule="firm") == "rule is not valid; expected 'hard' or 'soft'; got firm"
-    assert told(name="").startswith("name is not valid; expected string should match")
-    assert told(name="odd") == "name is out of bounds; expected a name that is not odd; got odd"
-    assert told(name="").endswith("got nothing")
-
-
-def test_what_is_missing_is_told() -> None:
-    with pytest.raises(InputError) as caught:
-        validated(Words, {}, where="a.toml")
-    assert str(caught.value) == "a.toml: name is missing; expected a value: it has no default"
+    assert "tuple[" not in told(either=[1, "x"]).partition(";")[0], "a name that pydantic gives to an alternative"
 
 
 @pytest.mark.parametrize(
@@ -92,10 +86,3 @@ def test_an_unknown_name_is_told_with_those_of_its_own_table(values: dict[str, A
     assert caught.value.kind == "w option"
     with pytest.raises(UnknownNameError, match=r"a\.yaml: unknown key"):
         validated(Words, {"name": "a", **values}, where="a.yaml")
-
-
-def test_faults_of_the_whole_do_not_show_all_of_it() -> None:
-    assert told(crop={"height": 13}) == "the value is out of bounds; expected no crop of height 13"
-    assert told("w", crop={"height": 13}) == "w is out of bounds; expected no crop of height 13"
-    with pytest.raises(InputError, match="the value is not valid; expected a valid dictionary"):
-        validated(Words, [1])

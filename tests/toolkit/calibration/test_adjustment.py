@@ -32,8 +32,9 @@ def as_measured(problem: PointToLine, motions: tuple[EgoMotion, ...] = MOTIONS) 
     return replace(problem, xyz=xyz, time_s=time_s)
 
 
-def test_exact_pairs_tell_motions_and_pose() -> None:
-    found = fit_with_nuisances(as_measured(pairs(count=1500)), NEAR, fits_cameras=False, prior=PRIOR)
+def test_exact_pairs_tell_motions_and_pose_and_without_times_the_motion_stays_what_is_expected() -> None:
+    problem = as_measured(pairs(count=1500))
+    found = fit_with_nuisances(problem, NEAR, fits_cameras=False, prior=PRIOR)
     for fit, true in zip(found.motions, MOTIONS, strict=True):
         # Drawn to what is expected a little.
         assert fit.motion.speed_m_s == pytest.approx(true.speed_m_s, abs=0.25)
@@ -42,22 +43,14 @@ def test_exact_pairs_tell_motions_and_pose() -> None:
     assert error.rotation_deg < 0.01
     assert error.translation_m < 0.002
     assert found.cameras == ()
-
-
-def test_sweeps_of_one_drive_may_all_differ_from_the_expected_speed_but_one_alone_is_as_stated() -> None:
-    assert PRIOR.covariance_of(1) == pytest.approx(PRIOR.covariance)
-    many = PRIOR.covariance_of(50)
-    assert np.diag(many) == pytest.approx(np.tile(np.diag(PRIOR.covariance), 50))
-    mean = np.kron(np.full((1, 50), 1 / 50), np.eye(2))
-    speed, turn = np.sqrt(np.diag(mean @ many @ mean.T))
-    assert speed > 0.5 * PRIOR.speed_sigma
-    assert turn == pytest.approx(PRIOR.turn_sigma / np.sqrt(50))
-
-
-def test_motion_that_nobody_asks_for_spoils_the_pose() -> None:
-    found = fit_with_nuisances(as_measured(pairs(count=1500)), NEAR, fits_cameras=False)
-    assert found.motions == ()
-    assert pose_error(found.camera_from_lidar, TRUTH).translation_m > 0.01
+    spoilt = fit_with_nuisances(problem, NEAR, fits_cameras=False)  # by motion that nobody asks for
+    assert spoilt.motions == ()
+    assert pose_error(spoilt.camera_from_lidar, TRUTH).translation_m > 0.01
+    # Without times the motion stays what is expected.
+    found = fit_with_nuisances(pairs(), NEAR, prior=PRIOR)
+    for fit in found.motions:
+        assert (fit.motion.speed_m_s, fit.motion.turn_rad_s) == pytest.approx((8.0, 0.0))
+        assert np.sqrt(np.diag(fit.covariance)) == pytest.approx([8.0, 0.1], rel=1e-6)
 
 
 def test_points_that_are_corrected_already_give_the_same_motions() -> None:
@@ -75,23 +68,6 @@ def test_points_that_are_corrected_already_give_the_same_motions() -> None:
     assert pose_error(once.camera_from_lidar, again.camera_from_lidar).translation_m < 5e-4
 
 
-def test_without_times_the_motion_stays_what_is_expected() -> None:
-    found = fit_with_nuisances(pairs(), NEAR, prior=PRIOR)
-    for fit in found.motions:
-        assert (fit.motion.speed_m_s, fit.motion.turn_rad_s) == pytest.approx((8.0, 0.0))
-        assert np.sqrt(np.diag(fit.covariance)) == pytest.approx([8.0, 0.1], rel=1e-6)
-
-
-def test_the_direction_of_travel_is_the_one_that_is_named() -> None:
-    sideways = EgoMotion(10.0, 0.0, (0.0, 2.0, 0.0))
-    assert sideways.twist == pytest.approx([0, 0, 0, 0, 10, 0])
-    prior = MotionPrior(EgoMotion(8.0, forward=sideways.forward), 8.0, 0.1)
-    problem = as_measured(pairs(count=1500), (sideways, sideways))
-    found = fit_with_nuisances(problem, NEAR, fits_cameras=False, prior=prior)
-    assert [fit.motion.speed_m_s for fit in found.motions] == pytest.approx([10.0, 10.0], abs=0.3)
-    assert [fit.motion.forward for fit in found.motions] == [sideways.forward] * 2
-
-
 def test_motion_and_camera_are_told_apart() -> None:
     error = RadialError(-0.004, 0.012)
     exact = pairs(cameras=(error.corrected(PINHOLE),) * 2, count=3000)
@@ -102,16 +78,22 @@ def test_motion_and_camera_are_told_apart() -> None:
     assert [fit.motion.speed_m_s for fit in found.motions] == pytest.approx([15.0, -1.0], abs=0.4)
 
 
-def test_what_is_unknown_as_well_makes_the_pose_less_sure() -> None:
+def test_motions_or_an_offset_that_are_unknown_as_well_make_the_place_along_the_road_less_sure() -> None:
     standing = EgoMotion()
     problem = as_measured(pairs(count=400, noise_px=0.7), (standing, standing))
     alone = fit_with_nuisances(problem, TRUTH, fits_cameras=False).covariance
     more = fit_with_nuisances(problem, TRUTH, fits_cameras=False, prior=MotionPrior(standing, 8.0, 0.1)).covariance
     assert np.linalg.eigvalsh(more - 0.95 * alone).min() > 0
     assert more[5, 5] > 1.5 * alone[5, 5]  # along the road, the way it drives
+    problem = pairs(count=300, cameras=FOUR, noise_px=0.7)
+    alone = fit_with_nuisances(problem, NEAR, fits_cameras=False)
+    both = fit_with_nuisances(problem, NEAR, fits_cameras=False, twists=SPEEDS, time=TimeFit())
+    ratio = np.diag(both.covariance) / np.diag(alone.covariance)
+    assert ratio[5] > 1.5, "z of the camera is along the road"
+    assert ratio[4] < 1.3
 
 
-def test_with_nothing_else_unknown_the_pose_is_that_of_the_solver() -> None:
+def test_with_nothing_else_unknown_the_pose_is_that_of_the_solver_and_few_places_give_no_covariance() -> None:
     problem = pairs(count=400, noise_px=0.7, outliers=0.05)
     solution = built(LM)(problem, NEAR)
     found = fit_with_nuisances(problem, solution.camera_from_lidar, fits_cameras=False)
@@ -121,13 +103,16 @@ def test_with_nothing_else_unknown_the_pose_is_that_of_the_solver() -> None:
     ratio = np.diag(found.covariance) / np.diag(solution.covariance)
     assert ((ratio > 0.5) & (ratio < 2.0)).all()
     assert found.step_px < 1e-3
+    problem = pairs(count=400)
+    one = replace(problem, centre=np.tile([600.0, 180.0], (len(problem), 1)), frame=np.zeros(len(problem), np.int64))
+    assert fit_with_nuisances(one, TRUTH, fits_cameras=False).covariance is None
 
 
 @pytest.mark.parametrize("together", [False, True])
 def test_the_covariance_foretells_the_scatter_also_of_pairs_that_err_together(together: bool) -> None:
     # Pairs of one direction in one cell of 64 px have the same error, as those along one outline have.
     squares, alone = [], []
-    for seed in range(40):
+    for seed in range(20):
         problem = pairs(count=500)
         rng = np.random.default_rng(seed)
         cell = np.floor(problem.centre / 64).astype(int)
@@ -146,15 +131,9 @@ def test_the_covariance_foretells_the_scatter_also_of_pairs_that_err_together(to
     assert (np.mean(alone) > 12.0) == together
 
 
-def test_pairs_from_few_places_have_no_covariance() -> None:
-    problem = pairs(count=400)
-    one = replace(problem, centre=np.tile([600.0, 180.0], (len(problem), 1)), frame=np.zeros(len(problem), np.int64))
-    assert fit_with_nuisances(one, TRUTH, fits_cameras=False).covariance is None
-
-
 def test_the_stated_deviation_is_more_than_noise_causes_and_less_than_was_known() -> None:
     found, stated = [], []
-    for seed in range(30):
+    for seed in range(16):
         problem = as_measured(pairs(count=300, noise_px=0.7, seed=seed))
         fits = fit_with_nuisances(problem, TRUTH, fits_cameras=False, prior=PRIOR).motions
         found.append([[f.motion.speed_m_s, f.motion.turn_rad_s] for f in fits])
@@ -165,11 +144,6 @@ def test_the_stated_deviation_is_more_than_noise_causes_and_less_than_was_known(
     assert (np.mean(stated, axis=0) < [PRIOR.speed_sigma, PRIOR.turn_sigma]).all()
 
 
-def test_motions_have_to_be_one_a_frame() -> None:
-    with pytest.raises(InputError, match=r"not one a frame; expected 2; got 1"):
-        fit_with_nuisances(pairs(), NEAR, prior=PRIOR, motions=[EgoMotion()])
-
-
 @pytest.mark.parametrize(
     "values", [(np.nan, 0.0), (0.0, np.inf), (1.0, 0.0, (0.0, 0.0, 0.0)), (1.0, 0.0, (np.nan, 1, 0))]
 )
@@ -178,17 +152,30 @@ def test_a_motion_that_is_none_is_refused(values: tuple) -> None:
         EgoMotion(*values)
 
 
-@pytest.mark.parametrize("sigmas", [(0.0, 0.1), (8.0, -1.0)])
-def test_an_expected_motion_needs_deviations(sigmas: tuple[float, float]) -> None:
-    with pytest.raises(InputError, match="not positive"):
-        MotionPrior(EgoMotion(), *sigmas)
+def test_an_expected_motion_needs_deviations_and_motions_and_velocities_have_to_be_one_a_frame() -> None:
+    for sigmas in ((0.0, 0.1), (8.0, -1.0)):
+        with pytest.raises(InputError, match="not positive"):
+            MotionPrior(EgoMotion(), *sigmas)
+    with pytest.raises(InputError, match=r"not one a frame; expected 2; got 1"):
+        fit_with_nuisances(pairs(), NEAR, prior=PRIOR, motions=[EgoMotion()])
+    for twists in (None, SPEEDS[:1]):
+        with pytest.raises(InputError, match="velocities are not one a frame"):
+            fit_with_nuisances(pairs(), NEAR, twists=twists, time=TimeFit())
 
 
-def test_a_twist_turns_to_the_left_about_the_axis_of_the_sensor() -> None:
+def test_a_twist_turns_to_the_left_and_sweeps_of_one_drive_may_all_differ_from_the_expected_speed() -> None:
+    assert EgoMotion(10.0, 0.0, (0.0, 2.0, 0.0)).twist == pytest.approx([0, 0, 0, 0, 10, 0])
     ahead = moved(EgoMotion(10.0, 0.5).twist, np.array([0.01]), np.array([[20.0, 0.0, 0.0]]))
     # What stays put is behind by what the car went, seen from where it was: the sensor's frame moved on and turned.
     assert ahead[0] == pytest.approx([20.1, 20 * 0.005, 0], abs=2e-3)
     assert se3.distance_m(se3.exp(EgoMotion(10.0, 0.5).twist * 0.01)) == pytest.approx(0.1, abs=1e-3)
+    assert PRIOR.covariance_of(1) == pytest.approx(PRIOR.covariance)
+    many = PRIOR.covariance_of(50)
+    assert np.diag(many) == pytest.approx(np.tile(np.diag(PRIOR.covariance), 50))
+    mean = np.kron(np.full((1, 50), 1 / 50), np.eye(2))
+    speed, turn = np.sqrt(np.diag(mean @ many @ mean.T))
+    assert speed > 0.5 * PRIOR.speed_sigma
+    assert turn == pytest.approx(PRIOR.turn_sigma / np.sqrt(50))
 
 
 # ---- an offset in time
@@ -213,35 +200,26 @@ def test_exact_pairs_of_several_speeds_tell_the_offset_and_the_pose(later_s: flo
     assert found.time.offset_s == pytest.approx(later_s, abs=5e-4)
     assert found.time.sigma_s < 0.005
     assert pose_error(found.camera_from_lidar, TRUTH).translation_m < 0.004
+    moved_on = as_told(problem, SPEEDS, -0.01)
+    again = fit_with_nuisances(moved_on, NEAR, fits_cameras=False, twists=SPEEDS, time=TimeFit(0.01))
+    assert again.time.offset_s == pytest.approx(found.time.offset_s, abs=1e-4), "of points that are moved already"
     without = fit_with_nuisances(problem, NEAR, fits_cameras=False)
     assert without.time is None
     assert pose_error(without.camera_from_lidar, TRUTH).translation_m > 0.05
 
 
-def test_points_that_are_moved_already_give_the_same_offset() -> None:
-    problem = pairs(count=600, cameras=FOUR)
-    told = fit_with_nuisances(as_told(problem, SPEEDS, 0.02), NEAR, fits_cameras=False, twists=SPEEDS, time=TimeFit())
-    moved_on = fit_with_nuisances(
-        as_told(problem, SPEEDS, 0.008), NEAR, fits_cameras=False, twists=SPEEDS, time=TimeFit(0.012)
-    )
-    assert moved_on.time.offset_s == pytest.approx(told.time.offset_s, abs=1e-4)
-
-
 def test_one_speed_cannot_be_told_from_a_pose_and_leaves_the_offset_at_zero() -> None:
     same = np.tile([0, 0, 0, 10.0, 0, 0], (4, 1))
-    found = fit_with_nuisances(
-        as_told(pairs(count=600, cameras=FOUR), same, 0.02), NEAR, fits_cameras=False, twists=same, time=TimeFit()
-    )
+    problem = as_told(pairs(count=600, cameras=FOUR), same, 0.02)
+    found = fit_with_nuisances(problem, NEAR, fits_cameras=False, twists=same, time=TimeFit())
     assert abs(found.time.offset_s) < 1e-3
     assert found.time.sigma_s == pytest.approx(0.05, rel=0.05)
 
 
 def test_offset_and_motions_are_told_apart() -> None:
     """Two raw sweeps, whose motions are unknown, beside two that were corrected by what is known."""
-    problem = pairs(count=900, cameras=FOUR)
-    raw = as_measured(problem, MOTIONS)
     twists = np.array([np.zeros(6), np.zeros(6), SPEEDS[0], SPEEDS[1]])
-    late = as_told(raw, twists, 0.02)
+    late = as_told(as_measured(pairs(count=900, cameras=FOUR)), twists, 0.02)
     found = fit_with_nuisances(late, NEAR, fits_cameras=True, prior=PRIOR, twists=twists, time=TimeFit())
     assert found.time.offset_s == pytest.approx(0.02, abs=3e-3)
     for fit, true in zip(found.motions[:2], MOTIONS, strict=True):
@@ -254,7 +232,7 @@ def test_the_stated_deviation_of_an_offset_covers_frames_that_err_each_by_itself
     """Each frame is off by 3 cm along the road, as by its place: pairs of one frame then all err alike."""
     errors, stated = [], []
     twists = np.column_stack([np.zeros((8, 3)), np.linspace(2, 16, 8), np.zeros((8, 2))])
-    for seed in range(20):
+    for seed in range(14):
         problem = pairs(count=150, cameras=(PINHOLE,) * 8, seed=seed)
         shift = np.random.default_rng(seed).normal(0, 0.03, 8)[problem.frame]
         off = replace(problem, xyz=problem.xyz + shift[:, None] * [1.0, 0, 0])
@@ -263,18 +241,3 @@ def test_the_stated_deviation_of_an_offset_covers_frames_that_err_each_by_itself
         stated.append(found.sigma_s)
     ratio = np.sqrt(np.mean(np.square(errors))) / np.mean(stated)
     assert 0.4 < ratio < 1.4
-
-
-def test_an_offset_that_is_unknown_as_well_makes_the_place_along_the_road_less_sure() -> None:
-    problem = pairs(count=300, cameras=FOUR, noise_px=0.7)
-    alone = fit_with_nuisances(problem, NEAR, fits_cameras=False)
-    both = fit_with_nuisances(problem, NEAR, fits_cameras=False, twists=SPEEDS, time=TimeFit())
-    ratio = np.diag(both.covariance) / np.diag(alone.covariance)
-    assert ratio[5] > 1.5, "z of the camera is along the road"
-    assert ratio[4] < 1.3
-
-
-def test_velocities_have_to_be_one_a_frame() -> None:
-    for twists in (None, SPEEDS[:1]):
-        with pytest.raises(InputError, match="velocities are not one a frame"):
-            fit_with_nuisances(pairs(), NEAR, twists=twists, time=TimeFit())

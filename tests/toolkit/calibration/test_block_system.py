@@ -23,16 +23,11 @@ def system(shared: int, frames: int) -> tuple[BlockSystem, np.ndarray]:
 
 
 @pytest.mark.parametrize(("shared", "frames"), [(6, 0), (7, 1), (9, 5)])
-def test_solutions_are_those_of_the_whole_matrix(shared: int, frames: int) -> None:
+def test_solutions_and_covariances_are_those_of_the_whole_matrix(shared: int, frames: int) -> None:
     blocks, whole = system(shared, frames)
     right = np.random.default_rng(1).normal(size=len(whole))
     solution, of_frames = blocks.solve(right[:shared], right[shared:].reshape(-1, 2))
     np.testing.assert_allclose(np.r_[solution, of_frames.ravel()], np.linalg.solve(whole, right), atol=1e-12)
-
-
-@pytest.mark.parametrize(("shared", "frames"), [(6, 0), (7, 1), (9, 5)])
-def test_covariances_are_those_of_the_whole_matrix(shared: int, frames: int) -> None:
-    blocks, whole = system(shared, frames)
     rows = np.random.default_rng(2).normal(size=(30, len(whole)))
     inverse = np.linalg.inv(whole)
     covariance = inverse @ rows.T @ rows @ inverse

@@ -10,12 +10,13 @@ import pytest
 from p2o import se3
 from p2o.calibration.intrinsics import IntrinsicsEstimate, estimate_intrinsics
 from p2o.features.view import View
-from p2o.geometry.motion import EgoMotion, MotionPrior, moved
+from p2o.geometry.motion import EgoMotion, MotionPrior
 from p2o.geometry.pose_error import pose_error
 from p2o.reading import RadialError
 
 from tests import edge_scene
 from tests.edge_scene import PINHOLE, TRUTH
+from tests.toolkit.calibration.test_pipeline import as_measured
 
 AWAY = se3.exp(np.array([0.001, -0.001, 0.001, 0.02, -0.01, 0.05])) @ TRUTH
 
@@ -40,10 +41,8 @@ def estimate(error: RadialError) -> IntrinsicsEstimate:
         (RadialError(focal=0.03), 0),
         (RadialError(focal=-0.05), 0),
         (RadialError(radial=0.06), 1),
-        (RadialError(radial=0.18), 1),
         (RadialError(radial=-0.18), 1),
         (RadialError(x_px=30.0), 2),
-        (RadialError(x_px=-20.0), 2),
     ],
     ids=lambda value: str(value),
 )
@@ -63,22 +62,15 @@ PRIOR = MotionPrior(EgoMotion(8.0), 8.0, 0.1)
 @cache
 def drive(error: RadialError, speed_m_s: float, count: int = 4) -> tuple[View, ...]:
     """Raw sweeps of a straight drive, compensated for the expected speed of 8 m/s."""
-    seen = []
-    for seed in range(count):
-        view = edge_scene.view(error.corrected(PINHOLE), seed=seed, boxes=60, noise_px=0.5)
-        edges = view.cloud_edges
-        time_s = -np.arctan2(edges.xyz[:, 1], edges.xyz[:, 0]) / (2 * np.pi) * 0.1 - 0.004
-        xyz = moved(EgoMotion(speed_m_s).twist, -time_s, edges.xyz)
-        raw = replace(view, camera=PINHOLE, cloud=view.cloud.having(replace(edges, xyz=xyz, time_s=time_s)))
-        seen.append(raw.untwisted(PRIOR.expected.twist))
-    return tuple(seen)
+    measured = (edge_scene.view(error.corrected(PINHOLE), seed=seed, boxes=60, noise_px=0.5) for seed in range(count))
+    raw = [replace(as_measured(view, EgoMotion(speed_m_s)), camera=PINHOLE) for view in measured]
+    return tuple(view.untwisted(PRIOR.expected.twist) for view in raw)
 
 
 def doubted(views: tuple[View, ...], prior: MotionPrior | None) -> list[int]:
     """The parameters that are in doubt."""
     motions = [] if prior is None else [prior.expected] * len(views)
     found = estimate_intrinsics(views, AWAY, prior=prior, motions=motions)
-    assert found is not None
     return [number for number, wrong in enumerate(found.fits[0].significant) if wrong]
 
 
@@ -108,12 +100,8 @@ def test_a_significant_error_of_the_camera_is_part_of_the_covariance_of_the_pose
     step = se3.log(wrong.camera_from_lidar @ se3.inverse(AWAY))
     assert np.sqrt(np.diag(wrong.absorbed)) == pytest.approx(np.abs(step))
     assert not correct.absorbed.any()
-
-
-def test_a_correct_camera_is_not_in_doubt() -> None:
-    [fit] = estimate(RadialError()).fits
-    assert not any(fit.significant)
-    assert abs(fit.error.focal) < 0.003
+    assert not any(correct.fits[0].significant)
+    assert abs(correct.fits[0].error.focal) < 0.003
 
 
 @pytest.mark.parametrize("y_px", [-6.5, 6.5])
@@ -127,15 +115,11 @@ def test_an_error_too_small_to_be_named_is_part_of_the_predicted_error(y_px: flo
     assert 0.3 * absorbed_deg < pitch_deg < absorbed_deg
 
 
-def test_parameters_that_are_not_fitted_stay_exactly_zero() -> None:
+def test_parameters_that_are_not_fitted_stay_exactly_zero_and_without_edges_there_is_no_estimate() -> None:
     found = estimate_intrinsics(views(RadialError(focal=0.03)), AWAY, (True, False, False, False))
-    assert found is not None
     error = found.fits[0].error
     assert (error.radial, error.x_px, error.y_px) == (0.0, 0.0, 0.0)
     assert error.focal == pytest.approx(0.03, abs=0.003)
-
-
-def test_without_edges_there_is_no_estimate() -> None:
     [view] = views(RadialError())[:1]
     none = replace(view, cloud=type(view.cloud)(view.cloud_edges.select(np.zeros(0, np.int64))))
     assert estimate_intrinsics([none], TRUTH) is None
@@ -143,13 +127,10 @@ def test_without_edges_there_is_no_estimate() -> None:
 
 def test_two_cameras_have_errors_of_their_own() -> None:
     wide = replace(PINHOLE, params=(650.0, 655.0, 610.0, 190.0))
-    error = RadialError(focal=0.04)
-    other = [
-        replace(edge_scene.view(error.corrected(wide), seed=seed, boxes=60, noise_px=0.5), camera=wide)
-        for seed in range(3, 6)
-    ]
+    true = RadialError(focal=0.04).corrected(wide)
+    seen = [edge_scene.view(true, seed=seed, boxes=60, noise_px=0.5) for seed in range(3, 6)]
+    other = [replace(view, camera=wide) for view in seen]
     found = estimate_intrinsics([*views(RadialError()), *other], AWAY)
-    assert found is not None
     first, second = found.fits
     assert (first.camera, second.camera) == (PINHOLE, wide)
     assert abs(first.error.focal) < 0.005

@@ -61,12 +61,12 @@ def test_an_adjusted_view_is_judged_by_the_same_points_with_the_same_weights() -
     assert after.costs([TRUTH]) != judge.costs([TRUTH])
 
 
+def matcher(views, pose, reach_px):
+    return Objective(lambda poses: np.zeros(len(poses)))
+
+
 def test_the_judge_is_that_of_the_method() -> None:
     view, start = edge_scene.view(), far_start()
-
-    def matcher(views, pose, reach_px):
-        return Objective(lambda poses: np.zeros(len(poses)))
-
     said = {"truncate_px": 5.0, "reach_px": 5.0}
     assert judge_of(matcher, EDGES, [view], start, [start], **said).name == DIRECTED
     assert isinstance(judge_of(matcher, frozenset({"image-grey"}), [view], start, [start], **said), ProblemJudge)
@@ -95,7 +95,7 @@ def test_no_pose_is_judged_by_its_own_problem_alone() -> None:
     assert one > 0
 
 
-def test_costs_of_pairs_are_means_so_that_more_pairs_cost_no_more() -> None:
+def test_costs_of_pairs_are_means_so_that_more_pairs_cost_no_more_and_none_say_nothing() -> None:
     camera = edge_scene.PINHOLE
     rng = np.random.default_rng(0)
 
@@ -110,18 +110,12 @@ def test_costs_of_pairs_are_means_so_that_more_pairs_cost_no_more() -> None:
     few, more = (ProblemJudge(lambda *_, n=n: pairs(n), (), 5.0).costs([TRUTH])[0] for n in (10, 1000))
     assert few == pytest.approx(0.5)  # all residuals are 1 px, inside the kernel
     assert more == pytest.approx(0.5)
-
-
-def test_a_problem_without_pairs_says_nothing_and_all_without_are_infinite() -> None:
-    empty = PointToLine.empty((edge_scene.PINHOLE,))
+    empty = PointToLine.empty((camera,))
     assert ProblemJudge(lambda *_: empty, (), 5.0).costs([TRUTH]) == [float("inf")]
 
 
 def test_sweeps_whose_rings_are_far_apart_are_judged_as_intervals() -> None:
     start = far_start()
-
-    def matcher(views, pose, reach_px):
-        return Objective(lambda poses: np.zeros(len(poses)))
 
     def judge(step_deg: float, interval_deg: float) -> str:
         limits = {"truncate_px": 5.0, "reach_px": 5.0, "interval_deg": interval_deg}

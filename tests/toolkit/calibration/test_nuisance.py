@@ -14,7 +14,7 @@ from tests import edge_scene
 
 
 @pytest.mark.parametrize("offset_s", [0.02, -0.05])
-def test_a_late_image_sees_points_nearer_by_the_distance_driven(offset_s: float) -> None:
+def test_a_late_image_sees_points_nearer_by_the_distance_driven_and_turned_back(offset_s: float) -> None:
     view = edge_scene.view()
     forward, standing = np.array([0, 0, 0, 10.0, 0, 0]), np.zeros(6)
     nuisance = Nuisance(twists=np.array([forward, standing]), time=TimeFit(offset_s))
@@ -23,10 +23,6 @@ def test_a_late_image_sees_points_nearer_by_the_distance_driven(offset_s: float)
     np.testing.assert_allclose(moved.cloud_edges.xyz, view.cloud_edges.xyz - driven, atol=1e-12)
     np.testing.assert_allclose(same.cloud_edges.xyz, view.cloud_edges.xyz, atol=1e-12)
     assert np.array_equal(moved.image_edges.uv, view.image_edges.uv)
-
-
-def test_a_late_image_of_a_turning_rig_sees_points_turned_back() -> None:
-    view = edge_scene.view()
     left = np.array([0, 0, np.radians(20.0), 0, 0, 0])
     (moved,) = Nuisance(twists=left[None], time=TimeFit(0.1)).views([view])
     turned = [np.degrees(np.arctan2(xyz[:, 1], xyz[:, 0])) for xyz in (moved.cloud_edges.xyz, view.cloud_edges.xyz)]

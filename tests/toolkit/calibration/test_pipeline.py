@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 from p2o import (
-    Camera,
     CloudEdges,
     CloudFeatures,
     ImageEdges,
@@ -63,22 +62,19 @@ def start(seed: int = 0, angle_deg: float = 2.0) -> np.ndarray:
     return wrong_start(TRUTH, angle_deg, 0.15, np.random.default_rng(seed))
 
 
-@cache
-def exact(camera: Camera) -> Result:
-    """The result on exact edges."""
-    return pipeline().solve([edge_scene.view(camera)], start())
-
-
 @pytest.mark.parametrize(
     "camera", [edge_scene.PINHOLE, edge_scene.FISHEYE, edge_scene.DISTORTED], ids=lambda c: c.model
 )
 def test_exact_edges_give_the_exact_pose_with_every_camera_model(camera) -> None:
-    result = exact(camera)
+    result = pipeline().solve([edge_scene.view(camera)], start())
     error = pose_error(result.camera_from_lidar, TRUTH)
     assert result.status.solved
     # The eight pixels of a line are spaced 0.3 px and straight within the distortion: hundredths of a pixel remain.
     assert error.rotation_deg < 0.01
     assert error.translation_m < 0.01
+    if camera is edge_scene.PINHOLE:
+        again = pipeline().solve([edge_scene.view()], start())
+        assert again.camera_from_lidar.tobytes() == result.camera_from_lidar.tobytes(), "the same seed"
 
 
 def test_several_frames_are_solved_jointly_and_better_than_one() -> None:
@@ -118,25 +114,14 @@ def test_what_the_camera_sees_is_told_anew_where_the_pose_was_found_far_from_the
     assert seen[-1] == pytest.approx(from_truth, rel=0.02)
 
 
-@pytest.mark.parametrize("initializer", [given, search])
-def test_moving_the_lidar_frame_moves_the_answer_by_exactly_that(initializer) -> None:
+def test_moving_the_lidar_frame_moves_the_answer_by_exactly_that() -> None:
     view, begin = edge_scene.view(noise_px=0.5), start()
     move = se3.exp(np.array([0.4, -0.9, 1.2, 1.0, 2.0, -3.0]))
-    here = pipeline(initializer=initializer, camera="trust").solve([view], begin)
-    there = pipeline(initializer=initializer, camera="trust").solve([view.moved(move)], begin @ se3.inverse(move))
+    here = pipeline(camera="trust").solve([view], begin)
+    there = pipeline(camera="trust").solve([view.moved(move)], begin @ se3.inverse(move))
     difference = se3.inverse(there.camera_from_lidar @ move) @ here.camera_from_lidar
     assert se3.angle_deg(difference) < 1e-3
     assert se3.distance_m(difference) < 1e-3
-
-
-def test_the_same_seed_gives_the_same_bytes() -> None:
-    again = pipeline().solve([edge_scene.view()], start())
-    assert again.camera_from_lidar.tobytes() == exact(edge_scene.PINHOLE).camera_from_lidar.tobytes()
-
-
-def test_a_scalar_solver_takes_the_pairs_of_a_matcher() -> None:
-    result = pipeline(solver=nelder_mead, rounds=4, camera="trust").solve([edge_scene.view()], start())
-    assert pose_error(result.camera_from_lidar, TRUTH).rotation_deg < 0.1
 
 
 def test_every_round_is_recorded_with_a_shrinking_reach() -> None:
@@ -162,11 +147,6 @@ def test_a_solver_that_walks_away_is_not_believed() -> None:
     np.testing.assert_allclose(result.start, begin, atol=1e-12)
 
 
-def test_started_at_the_truth_it_stays_there() -> None:
-    result = pipeline(camera="trust").solve([edge_scene.view()], TRUTH)
-    assert pose_error(result.camera_from_lidar, TRUTH).translation_m < 0.01
-
-
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
@@ -189,12 +169,19 @@ def test_a_start_that_looks_away_is_refused_and_edges_behind_the_camera_are_name
     assert "behind the camera" in result.reason
 
 
-def test_too_few_pairs_is_a_status_that_counts_them() -> None:
+def test_too_few_pairs_is_a_status_that_counts_them_also_at_a_better_pose() -> None:
     view = edge_scene.view()
     few = replace(view, cloud=CloudFeatures(view.cloud_edges.select(np.arange(10))))
     result = pipeline(initializer=given).solve([few], start())
     assert result.status is Status.TOO_FEW_MATCHES
     assert "at least 30 are needed" in result.reason
+    assert (result.accuracy, result.covariance) == (None, None)
+    np.testing.assert_array_equal(result.camera_from_lidar, result.start)
+    # A wrong start finds pairs far away; at the pose they lead to, hardly one is left.
+    view = edge_scene.view(boxes=4, noise_px=6.0, seed=3)
+    result = pipeline(initializer=given, min_matches=60).solve([view], start(1))
+    assert result.status is Status.TOO_FEW_MATCHES
+    assert any(turn.accepted for turn in result.rounds)
     np.testing.assert_array_equal(result.camera_from_lidar, result.start)
 
 
@@ -202,16 +189,10 @@ def test_edges_of_one_direction_at_one_depth_are_not_observable() -> None:
     depth = 10.0
     v = np.linspace(-1.5, 1.5, 200)
     points = np.column_stack([np.zeros(200), v, np.full(200, depth)])
-    uv = edge_scene.PINHOLE.project(
-        np.column_stack([np.zeros(2000), np.linspace(-1.6, 1.6, 2000), np.full(2000, depth)])
-    )
-    sides = np.full(200, Side.LEFT)
-    view = View(
-        "pole",
-        edge_scene.PINHOLE,
-        ImageFeatures(ImageEdges(uv, np.full(2000, Side.LEFT))),
-        CloudFeatures(CloudEdges(points, sides)),
-    )
+    longer = np.column_stack([np.zeros(2000), np.linspace(-1.6, 1.6, 2000), np.full(2000, depth)])
+    image = ImageEdges(edge_scene.PINHOLE.project(longer), np.full(2000, Side.LEFT))
+    cloud = CloudEdges(points, np.full(200, Side.LEFT))
+    view = View("pole", edge_scene.PINHOLE, ImageFeatures(image), CloudFeatures(cloud))
     result = pipeline(initializer=given).solve([view], se3.make(translation=[0.1, 0, 0]))
     assert result.status is Status.NOT_OBSERVABLE
     assert result.reason
@@ -229,28 +210,17 @@ def singular_at(*calls: int):
     return one
 
 
-def test_a_better_pose_that_its_own_pairs_do_not_determine_is_refused_and_the_start_comes_back() -> None:
+def test_a_better_pose_that_its_own_pairs_do_not_determine_is_refused_but_not_one_before_a_round_that_fails() -> None:
     result = replace(pipeline(initializer=given), solver=singular_at(1, 2)).solve([edge_scene.view()], start())
     assert (result.status, result.reason) == (Status.NOT_OBSERVABLE, "the pairs do not determine roll")
     assert result.rounds[0].accepted
     assert result.verdict.trust is Trust.REFUSED
     np.testing.assert_array_equal(result.camera_from_lidar, result.start)
-
-
-def test_a_later_round_that_fails_does_not_take_back_a_pose_that_its_pairs_determine() -> None:
+    # A later round that fails does not take back a pose that its pairs determine.
     result = replace(pipeline(initializer=given), solver=singular_at(1)).solve([edge_scene.view()], start())
     assert result.status is Status.ROUNDS_SPENT
     assert result.reason == "the rounds ended early: the pairs do not determine roll"
     assert pose_error(result.camera_from_lidar, TRUTH).rotation_deg < pose_error(start(), TRUTH).rotation_deg
-
-
-def test_a_better_pose_with_too_few_pairs_is_refused() -> None:
-    """A wrong start finds pairs far away; at the pose they lead to, hardly one is left."""
-    view = edge_scene.view(boxes=4, noise_px=6.0, seed=3)
-    result = pipeline(initializer=given, min_matches=60).solve([view], start(1))
-    assert result.status is Status.TOO_FEW_MATCHES
-    assert any(turn.accepted for turn in result.rounds)
-    np.testing.assert_array_equal(result.camera_from_lidar, result.start)
 
 
 def test_without_directions_no_stage_profits_from_them() -> None:
@@ -269,7 +239,7 @@ def test_without_directions_no_stage_profits_from_them() -> None:
 
 def test_an_image_and_a_sweep_of_different_moments_are_called_doubtful_and_a_right_pair_is_not() -> None:
     """The edges of one place are matched with those of another: whatever pose comes out is flagged."""
-    for seed in range(4):
+    for seed in range(2):
         right, other = edge_scene.view(seed=seed), edge_scene.view(seed=seed + 10)
         good = pipeline().solve([right], start(seed))
         assert good.verdict == Verdict()
@@ -305,6 +275,7 @@ def test_a_wrong_calibration_of_the_camera_is_told() -> None:
     checked = solved(wrongly_calibrated)
     assert trusted.cameras == ()
     assert not in_doubt(trusted)
+    assert all(result.accuracy.rotation_deg >= 0.02 for result in (trusted, checked))
     assert np.array_equal(checked.camera_from_lidar, trusted.camera_from_lidar)
     (check,) = checked.cameras
     assert check.frames == 4
@@ -313,23 +284,13 @@ def test_a_wrong_calibration_of_the_camera_is_told() -> None:
     assert in_doubt(checked)
 
 
-def test_a_right_calibration_is_not_doubted() -> None:
-    views = [edge_scene.view(seed=i, boxes=60, noise_px=0.3) for i in range(4)]
-    result = pipeline().solve(views, start())
-    assert result.cameras[0].shift_px < 0.3
-    assert not in_doubt(result)
-
-
 def test_refining_the_camera_finds_its_error_and_a_better_pose() -> None:
     trusted = solved(wrongly_calibrated, camera="trust")
     refined = solved(wrongly_calibrated, camera="refine")
     (check,) = refined.cameras
     assert check.corrected
-    assert (
-        refined.camera_of(edge_scene.PINHOLE)
-        == check.better
-        == RadialError(check.focal, check.radial).corrected(edge_scene.PINHOLE)
-    )
+    better = RadialError(check.focal, check.radial).corrected(edge_scene.PINHOLE)
+    assert refined.camera_of(edge_scene.PINHOLE) == check.better == better
     assert trusted.camera_of(edge_scene.PINHOLE) == edge_scene.PINHOLE
     assert check.focal == pytest.approx(MISCALIBRATED.focal, abs=2e-4)
     assert check.radial == pytest.approx(MISCALIBRATED.radial, abs=5e-4)
@@ -338,14 +299,17 @@ def test_refining_the_camera_finds_its_error_and_a_better_pose() -> None:
     assert after.translation_m < 0.005
     assert after.translation_m < 0.5 * before.translation_m
     assert refined.directed_cost_px[1] < trusted.directed_cost_px[1]
+    assert refined.accuracy.rotation_deg >= 0.02
     assert not in_doubt(refined)
 
 
-def test_refining_a_right_camera_leaves_it_and_the_pose() -> None:
-    views = [edge_scene.view(seed=i, boxes=60) for i in range(3)]
-    result = pipeline(camera="refine").solve(views, start())
-    assert result.cameras[0].shift_px < 0.1
-    assert pose_error(result.camera_from_lidar, TRUTH).translation_m < 0.005
+@pytest.mark.parametrize(("camera", "noise_px", "shift_px"), [("check", 0.3, 0.3), ("refine", 0.0, 0.1)])
+def test_a_right_camera_is_not_doubted_nor_changed_nor_the_pose(camera: str, noise_px: float, shift_px: float) -> None:
+    views = [edge_scene.view(seed=i, boxes=60, noise_px=noise_px) for i in range(3)]
+    result = pipeline(camera=camera).solve(views, start())
+    assert result.cameras[0].shift_px < shift_px
+    assert not in_doubt(result)
+    assert pose_error(result.camera_from_lidar, TRUTH).translation_m < (0.005 if camera == "refine" else 0.02)
 
 
 def as_measured(view: View, motion: EgoMotion) -> View:
@@ -391,14 +355,7 @@ def test_motion_of_the_car_does_not_look_like_a_wrong_camera() -> None:
         assert pose_error(result.camera_from_lidar, TRUTH).translation_m < 0.01
 
 
-def test_frames_that_were_corrected_have_no_motion_to_find() -> None:
-    views = [edge_scene.view(seed=9, boxes=30, name="corrected"), *driven()[:1]]
-    result = pipeline(camera="trust").solve(views, start())
-    assert [motion.frame for motion in result.motions] == ["at 16"]
-    assert pipeline(camera="trust").solve(views[:1], start()).motions == ()
-
-
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_motion_is_taken_only_where_the_edges_fit_better_with_it(seed: int) -> None:
     view = as_measured(edge_scene.view(seed=seed, boxes=8, noise_px=1.5), EgoMotion())
     estimated, trusted = (
@@ -422,26 +379,22 @@ def test_too_few_pairs_leave_the_motion_as_it_is_expected() -> None:
     assert (motion.speed_m_s, motion.speed_sigma, motion.turn_deg_s) == pytest.approx((1.0, 2.0, 0.0))
 
 
-@pytest.mark.parametrize("way", [(0, 0, 0), (1, float("nan"), 0), (1, 0)])
-def test_a_direction_of_travel_that_is_none_is_refused(way: tuple[float, ...]) -> None:
-    with pytest.raises(ValueError, match="forward"):
-        PipelineOptions(forward=way)
-
-
 def test_the_direction_of_travel_is_an_option() -> None:
     sideways = EgoMotion(12.0, 0.0, (0.0, 1.0, 0.0))
     views = [as_measured(edge_scene.view(seed=i, boxes=30), sideways) for i in range(2)]
+    views.append(edge_scene.view(seed=9, boxes=30, name="corrected"))  # has no motion to find
     result = pipeline(forward=(0, 1, 0), camera="trust").solve(views, start())
     assert [motion.speed_m_s for motion in result.motions] == pytest.approx([12.0, 12.0], abs=1.0)
     assert result.motions[0].twist[4] == pytest.approx(12.0, abs=1.0)
+    for way in ((0, 0, 0), (1, float("nan"), 0), (1, 0)):
+        with pytest.raises(ValueError, match="forward"):
+            PipelineOptions(forward=way)
 
 
 def test_the_predicted_error_by_axis_contains_what_a_wrong_focal_length_did_to_the_pose() -> None:
     true = RadialError(focal=0.03).corrected(edge_scene.PINHOLE)
-    views = [
-        replace(edge_scene.view(true, seed=i, boxes=60, noise_px=0.5), camera=edge_scene.PINHOLE) for i in range(3)
-    ]
-    result = pipeline().solve(views, start())
+    views = [edge_scene.view(true, seed=i, boxes=60, noise_px=0.5) for i in range(3)]
+    result = pipeline().solve([replace(view, camera=edge_scene.PINHOLE) for view in views], start())
     error, accuracy = pose_error(result.camera_from_lidar, TRUTH), result.accuracy
     assert result.cameras[0].wrong == ("focal length",)
     assert accuracy.z_m == pytest.approx(abs(error.per_axis["z_m"]), rel=0.3)
@@ -469,37 +422,21 @@ def test_a_matcher_without_pairs_tells_nothing_of_the_camera() -> None:
 
 
 def test_a_result_says_how_wrong_it_may_be() -> None:
-    # Edges at random off their place: one frame, six of the same kind, and one that is sharper.
-    views = [edge_scene.view(seed=i, noise_px=1.5, boxes=25) for i in range(6)]
-    one, six = (pipeline(camera="trust").solve(chosen, start()) for chosen in (views[:1], views))
+    # Edges at random off their place: one frame, four of the same kind, and one that is sharper.
+    views = [edge_scene.view(seed=i, noise_px=1.5, boxes=25) for i in range(4)]
+    one, four = (pipeline(camera="trust").solve(chosen, start()) for chosen in (views[:1], views))
     sharp = pipeline(camera="trust").solve([edge_scene.view(seed=0, noise_px=0.3, boxes=25)], start())
-    for better in (six, sharp):
+    for better in (four, sharp):
         assert better.accuracy.rotation_deg < one.accuracy.rotation_deg
         # The width of beams is common to all frames.
         assert better.accuracy.translation_m < 1.2 * one.accuracy.translation_m
-    for result in (one, six, sharp):
+    for result in (one, four, sharp):
         predicted = (result.accuracy.rotation_deg, result.accuracy.translation_m)
         assert deviations(result.covariance, result.camera_from_lidar) == pytest.approx(predicted)
         error = pose_error(result.camera_from_lidar, TRUTH)
         assert error.rotation_deg < result.accuracy.rotation_deg_95
         assert error.translation_m < result.accuracy.translation_m_95
         assert np.linalg.eigvalsh(result.covariance).min() > 0
-
-
-@pytest.mark.parametrize("camera", ["trust", "check", "refine"])
-def test_every_treatment_of_the_camera_tells_the_accuracy(camera: str) -> None:
-    result = pipeline(camera=camera).solve([edge_scene.view(seed=i, noise_px=0.5) for i in range(3)], start())
-    assert result.accuracy is not None
-    assert result.accuracy.rotation_deg >= 0.02
-
-
-def test_few_pairs_promise_less() -> None:
-    view = edge_scene.view(noise_px=1.0)
-    few = replace(view, cloud=CloudFeatures(view.cloud_edges.select(np.arange(0, len(view.cloud_edges), 12))))
-    all_pairs, some = (pipeline(min_matches=10).solve([v], start(0, 0.5)) for v in (view, few))
-    assert 10 <= sum(some.matches.values()) < 100 < sum(all_pairs.matches.values())
-    assert some.cameras == ()
-    assert some.accuracy.rotation_deg > 1.05 * all_pairs.accuracy.rotation_deg
 
 
 def test_pairs_from_a_handful_of_places_do_not_tell_the_accuracy() -> None:
@@ -511,19 +448,7 @@ def test_pairs_from_a_handful_of_places_do_not_tell_the_accuracy() -> None:
     assert result.accuracy is None
 
 
-def test_a_refused_calibration_has_no_accuracy() -> None:
-    view = edge_scene.view()
-    few = replace(view, cloud=CloudFeatures(view.cloud_edges.select(np.arange(10))))
-    result = pipeline(initializer=given).solve([few], start())
-    assert (result.accuracy, result.covariance) == (None, None)
-
-
-def at_places(poses: list[np.ndarray]):
-    """An initializer that proposes these poses."""
-    return lambda views, start: poses
-
-
-def test_a_scene_that_fits_in_two_places_is_called_ambiguous() -> None:
+def test_a_scene_that_fits_in_two_places_is_called_ambiguous_and_a_clear_one_is_not() -> None:
     # The same outlines twice, three degrees apart: which of the two the sweep belongs to cannot be told.
     away = se3.exp(np.array([0.0, np.radians(3.0), 0.0, 0, 0, 0]))
     view = edge_scene.view(boxes=12, seed=4)
@@ -531,7 +456,7 @@ def test_a_scene_that_fits_in_two_places_is_called_ambiguous() -> None:
     turned = camera.project(camera.rays(edges.uv) @ away[:3, :3].T)
     twice = ImageEdges(np.vstack([edges.uv, turned]), np.concatenate([edges.side, edges.side]))
     view = replace(view, image=ImageFeatures(twice))
-    plan = replace(pipeline(camera="trust"), initializer=at_places([TRUTH, away @ TRUTH]))
+    plan = replace(pipeline(camera="trust"), initializer=lambda views, start: [TRUTH, away @ TRUTH])
     result = plan.solve([view], start(0, 1.0))
     assert (result.rival.unit, result.rival.lead < 1.5) == ("edges", True)
     assert result.rival.rotation_deg == pytest.approx(3.0, abs=0.1)
@@ -539,11 +464,7 @@ def test_a_scene_that_fits_in_two_places_is_called_ambiguous() -> None:
     # However sharp the edges: which place is right cannot be told, and the predicted error contains both.
     assert result.accuracy.rotation_deg > 1.0
     assert not result.reaches(1.5, 1.0)
-
-
-def test_a_clear_scene_is_not_ambiguous() -> None:
-    away = se3.exp(np.array([0.0, np.radians(3.0), 0.0, 0, 0, 0]))
-    plan = replace(pipeline(), initializer=at_places([away @ TRUTH, TRUTH]))
+    plan = replace(pipeline(), initializer=lambda views, start: [away @ TRUTH, TRUTH])
     result = plan.solve([edge_scene.view()], start(0, 1.0))
     assert pose_error(result.camera_from_lidar, TRUTH).rotation_deg < 0.02
     assert result.verdict.trusted
@@ -574,75 +495,39 @@ def test_an_offset_in_time_is_found_along_with_the_pose_and_used() -> None:
     assert found.directed_cost_px[1] < trusted.directed_cost_px[1]
 
 
-def test_frames_that_are_of_one_moment_keep_their_pose() -> None:
+def test_frames_that_are_of_one_moment_keep_their_pose_and_raw_sweeps_tell_no_offset() -> None:
     views = [replace(edge_scene.view(seed=i, boxes=30), twist=t) for i, t in enumerate(TWISTS)]
     trusted, asked = (pipeline(time=word, camera="trust").solve(views, start()) for word in ("trust", "estimate"))
     assert abs(asked.time.offset_s) < 5e-4
     assert not asked.time.used
     assert np.array_equal(asked.camera_from_lidar, trusted.camera_from_lidar)
     assert np.array_equal(asked.covariance, trusted.covariance)
-
-
-def test_an_offset_in_time_is_not_told_where_it_cannot_be() -> None:
-    """By three frames, by several of one speed or of one unknown, and by raw sweeps, whose motion is estimated."""
-    views = told_too_early()
     solve = pipeline(time="estimate", camera="trust", initializer=given).solve
-    assert solve(views[:3], start()).time is None
-    assert solve([replace(view, twist=TWISTS[0]) for view in views], start()).time is None
-    assert solve([*views[:3], replace(views[3], twist=None)], start()).time is None
     assert solve([replace(v, twist=t) for v, t in zip(driven(), TWISTS, strict=True)], start()).time is None
 
 
-def test_an_offset_in_time_and_a_wrong_camera_are_found_together() -> None:
-    views = [
-        replace(view.moved(pose_at(twist, LATER_S)), twist=twist)
-        for view, twist in zip(wrongly_calibrated(), TWISTS, strict=True)
-    ]
-    refined = pipeline(time="estimate", camera="refine").solve(views, start())
-    (check,) = refined.cameras
-    assert refined.time.used
-    assert check.corrected
-    assert refined.later_s == pytest.approx(LATER_S, abs=1.5e-3)
-    assert check.focal == pytest.approx(MISCALIBRATED.focal, abs=5e-4)
-    assert pose_error(refined.camera_from_lidar, TRUTH).translation_m < 0.015
-
-
-@cache
-def sparse(interval_deg: float) -> Result:
-    """The result on four views of a LiDAR whose rings are 1.7 deg apart."""
+def test_rings_that_are_far_apart_are_calibrated_by_their_intervals_and_the_result_is_trusted() -> None:
+    """By four views of a LiDAR whose rings are 1.7 deg apart."""
     views = [sparse_view(seed) for seed in range(4)]
-    return pipeline(interval_deg=interval_deg).solve(views, start())
-
-
-def test_rings_that_are_far_apart_are_calibrated_by_their_intervals() -> None:
-    result, by_middle = sparse(0.75), sparse(90.0)
-    assert result.judged is not None
-    assert by_middle.judged is not None
+    result, by_middle = (pipeline(interval_deg=angle).solve(views, start()) for angle in (0.75, 90.0))
     assert (result.judged.judge, by_middle.judged.judge) == (INTERVALS, DIRECTED)
     error = pose_error(result.camera_from_lidar, TRUTH)
     assert error.rotation_deg < 0.15
     assert error.translation_m < 0.04
     assert error.translation_m < 0.5 * pose_error(by_middle.camera_from_lidar, TRUTH).translation_m
     assert any(record.stage == "interval-likelihood" for record in result.rounds)
-
-
-def test_a_result_by_intervals_is_trusted_and_within_its_predicted_error() -> None:
-    result = sparse(0.75)
     assert result.verdict.trusted
-    assert result.accuracy is not None
-    error = pose_error(result.camera_from_lidar, TRUTH)
     assert error.rotation_deg < result.accuracy.rotation_deg_95 < 0.7
     assert error.translation_m < result.accuracy.translation_m_95 < 0.2
 
 
-def test_dense_rings_give_the_same_bytes_with_and_without_the_option() -> None:
+def test_dense_rings_give_the_same_bytes_with_and_without_the_option_and_no_edge_without_direction_is_an_interval() -> (
+    None
+):
     view = sparse_view(0, 0.4)
     results = [pipeline(interval_deg=angle).solve([view], start()) for angle in (0.75, 90.0)]
     np.testing.assert_array_equal(results[0].camera_from_lidar, results[1].camera_from_lidar)
     assert results[0].accuracy == results[1].accuracy
-
-
-def test_without_directions_no_edge_is_an_interval() -> None:
-    views = [replace(view, image=view.image.without_sides()) for view in [sparse_view(0)]]
-    result = pipeline(directed=False, matcher=nearest).solve([view.without_sides() for view in views], start())
+    view = sparse_view(0).without_sides()
+    result = pipeline(directed=False, matcher=nearest).solve([view], start())
     assert result.judged is None or result.judged.judge == DIRECTED

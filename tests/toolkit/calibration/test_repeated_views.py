@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import p2o
 import pytest
-from p2o import CloudFeatures, Side, View, se3
+from p2o import CloudFeatures, Side, View
 from p2o.calibration.judge import SIGMA_PX, DirectedJudge
 from p2o.calibration.nuisance import Nuisance
 from p2o.geometry.perturb import wrong_start
@@ -61,21 +61,24 @@ def test_weights_of_a_view_sum_to_one_and_frames_of_other_places_keep_theirs() -
     assert view_weights(views).mean() == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize("count", [2, 20])
-def test_copies_of_a_view_cost_what_the_view_costs(count: int) -> None:
+def test_copies_of_a_view_cost_what_the_view_costs() -> None:
     first, second = places(2)
-    copies = weighted([first, *[second] * count], TRUTH)
+    copies = weighted([first, *[second] * 20], TRUTH)
     two = weighted([first, second], TRUTH)
     costs = [DirectedCost.of(views, TRUTH, 5.0)(POSES) for views in (copies, two)]
     assert costs[0] == pytest.approx(costs[1], rel=1e-3)
 
 
-def test_copies_of_a_view_have_its_likelihood_and_its_covariance() -> None:
+def test_copies_of_a_view_have_its_likelihood_and_covariance_and_a_judge_is_led_by_the_same_edges() -> None:
     first, second = places(2, sparse=True)
     two, copies = (weighted(views, TRUTH) for views in ([first, second], [first, *[second] * 8]))
     of_two, of_copies = (IntervalLikelihood.of(views, TRUTH, SIGMA_PX) for views in (two, copies))
     assert of_copies(POSES) == pytest.approx(of_two(POSES), rel=1e-3)
     assert of_copies.covariance(TRUTH) == pytest.approx(of_two.covariance(TRUTH), rel=0.02, abs=1e-8)
+    first, second = places(2)
+    judges = [DirectedJudge.of(weighted(views, TRUTH), TRUTH, [TRUTH], 5.0) for views in ([first, second], [first] * 9)]
+    leads = [judge.lead(*judge.costs(POSES[:2]))[0] for judge in judges]
+    assert leads[1] < leads[0]
 
 
 def test_copies_of_a_view_do_not_reduce_the_covariance_of_pairs() -> None:
@@ -100,16 +103,15 @@ def _pipeline() -> Pipeline:
 
 @pytest.mark.parametrize("sparse", [False, True])
 def test_a_wrong_view_moves_the_pose_no_further_when_it_is_repeated(sparse: bool) -> None:
-    """The frames of a stop in front of a truck: one moves the pose a little, fifteen not more than that."""
+    """The frames of a stop in front of a truck: one moves the pose a little, eight not more than that."""
     pipeline, start = _pipeline(), wrong_start(TRUTH, 1.0, 0.08, np.random.default_rng(3))
     distinct, wrong = places(5, sparse=sparse), biased((sparse_view if sparse else edge_scene.view)(seed=9))
     alone, once, often = (
-        pipeline.solve(views, start) for views in (distinct, [*distinct, wrong], [*distinct, *stop(wrong, 15)])
+        pipeline.solve(views, start) for views in (distinct, [*distinct, wrong], [*distinct, *stop(wrong, 8)])
     )
     moved = pose_error(often.camera_from_lidar, alone.camera_from_lidar)
     by_one = pose_error(once.camera_from_lidar, alone.camera_from_lidar)
     assert moved.rotation_deg < 2 * by_one.rotation_deg + 0.03
-    assert often.accuracy is not None
     assert moved.rotation_deg < often.accuracy.rotation_deg_95
     assert moved.translation_m < often.accuracy.translation_m_95
 
@@ -129,23 +131,12 @@ def test_a_judge_and_costs_of_other_methods_see_one_frame_of_each_view() -> None
         assert received.pop() == count
 
 
-def test_a_subset_of_views_is_even_over_their_weight() -> None:
+def test_a_subset_of_views_is_even_over_their_weight_and_frames_without_edges_have_one() -> None:
     assert evenly_chosen(np.ones(10), 5).tolist() == [0, 2, 4, 6, 8]
     chosen = evenly_chosen(np.r_[np.ones(10), np.full(90, 1 / 45)], 12)
     assert chosen[:10].tolist() == list(range(10))
     assert 11 <= len(chosen) <= 12
-
-
-def test_frames_without_edges_have_a_weight_and_a_scene() -> None:
     nothing = np.zeros((0, 3)), np.zeros(0, np.int8), np.zeros(0, np.int64)
     distinct = DistinctViews.of(*nothing, 3)
     assert distinct.weights.tolist() == [1.0] * 3
     assert distinct.scenes.tolist() == [0, 1, 2]
-
-
-def test_a_judge_of_repeated_views_is_led_by_the_same_edges() -> None:
-    first, second = places(2)
-    judges = [DirectedJudge.of(weighted(views, TRUTH), TRUTH, [TRUTH], 5.0) for views in ([first, second], [first] * 9)]
-    leads = [judge.lead(*judge.costs(POSES[:2]))[0] for judge in judges]
-    assert leads[1] < leads[0]
-    assert se3.angle_deg(POSES[1] @ se3.inverse(POSES[0])) > 0

@@ -63,13 +63,10 @@ def test_the_pose_of_the_lowest_cost_is_kept(places_m: tuple[float, ...], best_m
     assert end.status is Status.ROUNDS_SPENT
 
 
-def test_the_cutting_distance_shrinks_to_its_smallest_value() -> None:
+def test_the_cutting_distance_shrinks_to_its_smallest_value_where_rounds_end_once_the_pose_stays() -> None:
     reaches: list[float] = []
     ended((2.0, 1.0, 0.5, 0.25), reaches=reaches, shrink=0.4, min_reach_px=5.0)
     assert reaches == pytest.approx([50.0, 20.0, 8.0, 5.0, 5.0])
-
-
-def test_rounds_end_where_the_pose_stays_within_the_smallest_cutting_distance() -> None:
     end = ended((1.0, 1.0, 1.0, 1.0), rounds=10, shrink=0.2, min_reach_px=5.0)
     # 50, 10 and 5 px: the pose stays from the second round on, and the third is the first at 5 px.
     assert (end.status, len(end.rounds)) == (Status.CONVERGED, 3)

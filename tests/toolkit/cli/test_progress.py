@@ -25,7 +25,7 @@ def test_long_work_is_named_with_its_duration_at_growing_intervals(capsys: pytes
     assert set(lines) == {"p2o: calibration 1 of 2: a, for 1 s (solver cma-es)"}
 
 
-def test_short_work_is_silent_and_no_thread_remains(capsys: pytest.CaptureFixture[str]) -> None:
+def test_short_work_is_silent_and_no_thread_remains_also_after_an_error(capsys: pytest.CaptureFixture[str]) -> None:
     monitor = []
     with long_work(monitor.append) as work:
         for number in range(8):
@@ -33,10 +33,6 @@ def test_short_work_is_silent_and_no_thread_remains(capsys: pytest.CaptureFixtur
             time.sleep(0.05)
     assert capsys.readouterr().err == ""
     assert monitor == [str(number) for number in range(8)]
-    assert not [thread for thread in threading.enumerate() if thread.name == "p2o-progress"]
-
-
-def test_an_error_in_the_work_ends_the_lines() -> None:
     with pytest.raises(ValueError, match="no"), long_work(lambda text: None):
         raise ValueError("no")
     assert not [thread for thread in threading.enumerate() if thread.name == "p2o-progress"]

@@ -96,9 +96,7 @@ def test_without_the_extra_one_line_states_what_to_install(
     assert capsys.readouterr().err.splitlines() == [f"p2o: error: {line}"]
 
 
-def test_a_file_that_cannot_be_written_is_refused_before_any_work(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_that_cannot_be_written_is_refused_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     needs_rerun()
     (tmp_path / "file").touch()
     for place, message in ((tmp_path, "the recording is no file"), (tmp_path / "file/x.rrd", "cannot write the")):

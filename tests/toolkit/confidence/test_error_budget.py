@@ -33,12 +33,9 @@ def solved(pairs: LeastSquares) -> np.ndarray:
     return -np.linalg.lstsq(rows, residuals, rcond=None)[0]
 
 
-def test_where_beams_leave_nothing_open_nothing_shifts() -> None:
-    assert not shift_covariance(problem(), POSE, problem().sigma_px).any()
-
-
 def test_it_is_what_least_squares_makes_of_edges_that_are_all_off_alike() -> None:
     pairs, sigma_px = problem(), np.random.default_rng(0).uniform(0.1, 0.5, 200)
+    assert not shift_covariance(pairs, POSE, pairs.sigma_px).any(), "where beams leave nothing open"
     steps = []
     for side in range(4):
         off = np.where(pairs.side == side, sigma_px, 0.0)[:, None] * np.array(Side(side).background)
@@ -57,16 +54,12 @@ def test_rows_far_apart_leave_pitch_open_and_not_yaw(sides: bool) -> None:
     assert pitch > 5 * yaw
 
 
-def test_more_pairs_of_the_same_rows_do_not_make_it_smaller() -> None:
+def test_more_pairs_of_the_same_rows_do_not_make_it_smaller_and_unseen_points_do_not_count() -> None:
     pairs = replace(problem(), sigma_px=np.full(200, 2.0))
     fields = ("xyz", "centre", "normal", "weight", "side", "frame", "time_s", "sigma_px")
     thrice = replace(pairs, **{name: np.concatenate([getattr(pairs, name)] * 3) for name in fields})
     of_all, of_one = (shift_covariance(its, POSE, its.sigma_px) for its in (thrice, pairs))
     assert of_all == pytest.approx(of_one)
-
-
-def test_unseen_points_do_not_count() -> None:
-    pairs = replace(problem(), sigma_px=np.full(200, 2.0))
     behind = np.array(pairs.xyz)
     behind[:20, 2] = -1.0
     found = shift_covariance(replace(pairs, xyz=behind), POSE, pairs.sigma_px)
@@ -91,12 +84,8 @@ def test_gaps_between_rings_are_pitch_roll_and_height_however_little_they_weigh(
     assert (pitch, yaw, roll) == pytest.approx((0.01, 0.001, 0.01))
     depth_m = 1 / np.mean(1 / pairs.xyz[:, 2])
     assert (x, y, z) == pytest.approx((0.001 * depth_m, 0.01 * depth_m, 0.0))
-
-
-def test_a_camera_on_its_side_has_the_gaps_of_rings_in_yaw() -> None:
-    pairs = problem()
-    level = np.abs(pairs.normal[:, 1]) > 0.5
-    pitch, yaw, *_ = ring_gaps(replace(pairs, sigma_px=np.where(level, 0.5, 5.0)), POSE)
+    # A camera on its side has them in yaw.
+    pitch, yaw, *_ = ring_gaps(replace(problem(), sigma_px=np.where(level, 0.5, 5.0)), POSE)
     assert (pitch, yaw) == pytest.approx((0.001, 0.01))
 
 

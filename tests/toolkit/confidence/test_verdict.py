@@ -30,18 +30,23 @@ def test_the_worst_reason_decides_the_word() -> None:
     assert (both.trust, [r.doubt for r in both.reasons]) == (Trust.DOUBTFUL, [Doubt.RIVAL_POSE, Doubt.LITTLE_AGREEMENT])
     assert Verdict((Reason(Doubt.CAMERA, "focal"),)).trust is Trust.DOUBTFUL
     assert Verdict().having(Reason(Doubt.NOT_SOLVED, "no")).trust is Trust.REFUSED
+    unchecked = verdict_of(None, None, (), OPTIONS)
+    assert (unchecked.trust, unchecked.reasons[0].doubt) == (Trust.DOUBTFUL, Doubt.NOT_CHECKED)
+    # Leads in another unit than edges have no bound, and a reason that is given twice is stated once.
+    assert verdict_of(GOOD, rival(0.0, "cost"), (), OPTIONS).trusted
+    twice = Reason(Doubt.TOO_UNSURE, "yaw is not observable")
+    assert Verdict((twice, twice)).having(twice).why == "yaw is not observable"
 
 
-def test_pairs_from_too_few_places_are_not_trusted_however_well_edges_meet() -> None:
+def test_pairs_from_too_few_places_or_with_a_direction_that_does_not_agree_are_not_trusted() -> None:
     for places in (0, 6, 11):
         verdict = verdict_of(GOOD, None, (), OPTIONS, places=places)
         assert (verdict.trust, verdict.reasons[0].doubt) == (Trust.DOUBTFUL, Doubt.TOO_FEW_PLACES)
     assert verdict_of(GOOD, None, (), OPTIONS, places=12).trusted
-
-
-def test_without_edges_nothing_is_trusted() -> None:
-    verdict = verdict_of(None, None, (), OPTIONS)
-    assert (verdict.trust, verdict.reasons[0].doubt) == (Trust.DOUBTFUL, Doubt.NOT_CHECKED)
+    verdict = verdict_of(replace(GOOD, least_odds=1.4, least_side="U"), None, (), OPTIONS)
+    assert (verdict.trust, verdict.reasons[0].doubt) == (Trust.DOUBTFUL, Doubt.LITTLE_AGREEMENT)
+    assert "background above" in verdict.why
+    assert verdict_of(replace(GOOD, least_odds=2.4, least_side="U"), None, (), OPTIONS).trusted
 
 
 def test_the_same_odds_are_worth_less_in_few_places() -> None:
@@ -57,13 +62,6 @@ def test_the_same_odds_are_worth_less_in_few_places() -> None:
     assert much_of_little.strength > GOOD.strength
     assert not verdict_of(much_of_little, None, (), OPTIONS).trusted
     assert np.isnan(Agreement(0.0, 0.0, 0).strength)
-
-
-def test_one_direction_that_does_not_agree_makes_a_result_doubtful_and_is_named() -> None:
-    verdict = verdict_of(replace(GOOD, least_odds=1.4, least_side="U"), None, (), OPTIONS)
-    assert (verdict.trust, verdict.reasons[0].doubt) == (Trust.DOUBTFUL, Doubt.LITTLE_AGREEMENT)
-    assert "background above" in verdict.why
-    assert verdict_of(replace(GOOD, least_odds=2.4, least_side="U"), None, (), OPTIONS).trusted
 
 
 def test_what_may_be_far_off_by_its_own_word_is_doubtful() -> None:
@@ -99,12 +97,3 @@ def test_every_reason_is_one_sentence_without_advice_or_negative_counts(lead: fl
         assert not re.search(r"-\d|nan|start\b|strength|\bplaces\b|meet\b|take more|look at", reason.text)
         assert verdicts[0].why.count(reason.text) <= 1
     assert f"at a distance of 1.00 deg and 0.10 m matches {edges};" in verdicts[0].why
-
-
-def test_a_reason_that_is_given_twice_is_stated_once() -> None:
-    twice = Reason(Doubt.TOO_UNSURE, "yaw is not observable")
-    assert Verdict((twice, twice)).having(twice).why == "yaw is not observable"
-
-
-def test_leads_in_another_unit_than_edges_have_no_bound() -> None:
-    assert verdict_of(GOOD, rival(0.0, "cost"), (), OPTIONS).trusted

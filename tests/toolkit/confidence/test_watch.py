@@ -33,11 +33,10 @@ def names(count: int) -> list[str]:
 def test_noise_that_is_as_it_is_taken_to_be_raises_hardly_any_alarm() -> None:
     """Twenty drives of 500 frames are a third of the frames from one false alarm to the next at one an hour."""
     rule = Rule(alarms_per_hour=1.0, settle=100)
+    assert Rule(alarms_per_hour=0.01).limit > rule.limit
     alarms = sum(len(watched(names(500), steps(drive(500, seed)), rule).slips) for seed in range(20))
     assert alarms <= 3
-
-
-def test_a_bias_that_was_there_from_the_beginning_is_no_slip() -> None:
+    # Nor does a bias that was there from the beginning.
     rule = Rule(settle=60)
     alarms = [len(watched(names(400), steps(drive(400, seed, usual=1.5)), rule).slips) for seed in range(5)]
     assert sum(alarms) <= 1
@@ -60,20 +59,20 @@ def test_a_slip_is_noticed_on_its_axis_with_its_size_and_its_beginning(axis: str
     assert len(found.frames) == 300
 
 
-def test_frames_that_tell_nothing_leave_the_charts_as_they_are() -> None:
+def test_frames_that_tell_nothing_leave_the_charts_as_they_are_and_more_frames_detect_smaller_slips() -> None:
     told = steps(drive(60, 3))
     told[40] = None
     found = watched(names(60), told, Rule())
     assert found.frames[40].level is None
     assert found.frames[41].level is not None
+    few, some, many = (
+        [one.size for one in watched(names(n), steps(drive(n, 1)), Rule(settle=20)).detectable] for n in (22, 80, 400)
+    )
+    assert few == [None] * 6
+    assert all(a is not None and b is not None and a >= b for a, b in zip(some, many, strict=True))
 
 
-def test_a_rarer_false_alarm_has_a_higher_limit() -> None:
-    assert Rule(alarms_per_hour=0.01).limit > Rule(alarms_per_hour=1.0).limit
-
-
-@pytest.mark.parametrize("number", [0, 3])
-@pytest.mark.parametrize("count", [120, 400])
+@pytest.mark.parametrize(("number", "count"), [(0, 400), (3, 120)])
 def test_slips_of_the_detectable_size_are_detected_in_about_half_of_the_drives(number: int, count: int) -> None:
     rule = Rule(settle=60, alarms_per_hour=1.0)
     size = watched(names(count), steps(drive(count, 0)), rule).detectable[number].size
@@ -91,11 +90,3 @@ def test_slips_of_the_detectable_size_are_detected_in_about_half_of_the_drives(n
     assert share(0.4) < 0.35
     assert 0.2 <= share(1.0) <= 0.98
     assert share(2.0) >= 0.9
-
-
-def test_more_frames_detect_smaller_slips_and_too_few_none() -> None:
-    few, some, many = (
-        [one.size for one in watched(names(n), steps(drive(n, 1)), Rule(settle=20)).detectable] for n in (22, 80, 400)
-    )
-    assert few == [None] * 6
-    assert all(a is not None and b is not None and a >= b for a, b in zip(some, many, strict=True))

@@ -22,20 +22,13 @@ def cloud_edges() -> CloudEdges:
     return CloudEdges(XYZ, SIDES, np.arange(5.0), 0.01 * np.arange(5), background)
 
 
-def test_weights_are_one_and_uncertainties_and_backgrounds_zero_unless_given() -> None:
-    assert (ImageEdges(UV, SIDES).weight == 1).all()
-    edges = CloudEdges(XYZ, SIDES)
-    assert (edges.weight == 1).all()
-    assert (edges.sigma_m == 0).all()
-    assert (edges.background == 0).all()
-
-
 def test_arrays_are_read_only_and_of_fixed_types() -> None:
     edges = ImageEdges(UV.astype(np.float32), SIDES.tolist(), [1, 2, 3, 4, 5])
     assert (edges.uv.dtype, edges.side.dtype, edges.weight.dtype) == (np.float64, np.int8, np.float64)
     for array in (edges.uv, edges.side, edges.weight):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 0
+    assert (ImageEdges(UV, SIDES).weight == 1).all(), "unless it is given"
 
 
 @pytest.mark.parametrize(
@@ -84,13 +77,8 @@ def test_wrong_cloud_edges_are_refused(changed: dict[str, np.ndarray], text: str
 @pytest.mark.parametrize("kind", [ImageEdges, CloudEdges])
 def test_no_edges_are_edges_too(kind: type[ImageEdges] | type[CloudEdges]) -> None:
     none = kind.empty()
-    assert len(none) == len(none.select(np.zeros(0, bool))) == len(none.without_sides()) == 0
-    assert len(none.weight) == 0
-
-
-def test_an_image_without_edges_has_no_sides_and_no_trees() -> None:
-    assert ImageEdges.empty().sides == ()
-    assert ImageEdges.empty().trees == {}
+    assert len(none) == len(none.weight) == len(none.select(np.zeros(0, bool))) == len(none.without_sides()) == 0
+    assert (ImageEdges.empty().sides, ImageEdges.empty().trees) == ((), {})
 
 
 def test_rows_and_trees_of_a_side_belong_together() -> None:
@@ -114,15 +102,6 @@ def test_selecting_keeps_all_fields_of_a_row_together() -> None:
         np.testing.assert_array_equal(cloud.sigma_m, [0, 0.02])
         np.testing.assert_array_equal(cloud.background, [[0, 1, 0], [0, 1, 0]])
         assert set(image.trees) == {Side.LEFT}
-
-
-def test_forgetting_sides_keeps_everything_else() -> None:
-    for edges in (image_edges(), cloud_edges()):
-        bare = edges.without_sides()
-        assert (bare.side == Side.NONE).all()
-        np.testing.assert_array_equal(bare.weight, edges.weight)
-        assert (edges.side == SIDES).all()
-    assert image_edges().without_sides().sides == (Side.NONE,)
 
 
 def test_moving_the_frame_moves_points_and_turns_directions() -> None:
@@ -155,45 +134,31 @@ def test_features_hand_on_to_what_they_hold() -> None:
     shift = se3.make(translation=[0, 0, 1])
     features = CloudFeatures(cloud_edges(), XYZ)
     moved = features.moved(shift)
-    assert moved.edges is not None
     assert moved.points is not None
     np.testing.assert_allclose(moved.points - XYZ, np.tile([0, 0, 1], (5, 1)))
     np.testing.assert_allclose(moved.edges.xyz - XYZ, np.tile([0, 0, 1], (5, 1)))
-    bare = features.without_sides()
-    assert bare.edges is not None
-    assert (bare.edges.side == Side.NONE).all()
-    np.testing.assert_array_equal(bare.points, XYZ)
-    image = ImageFeatures(image_edges()).without_sides()
-    assert image.edges is not None
-    assert (image.edges.side == Side.NONE).all()
-
-
-def test_features_that_hold_nothing_stay_empty() -> None:
+    np.testing.assert_array_equal(features.without_sides().points, XYZ)
+    for before, bare in (
+        (image_edges(), ImageFeatures(image_edges()).without_sides().edges),
+        (cloud_edges(), features.without_sides().edges),
+    ):
+        assert (bare.side == Side.NONE).all()
+        np.testing.assert_array_equal(bare.weight, before.weight)
+        assert (before.side == SIDES).all()
     empty = CloudFeatures().moved(np.eye(4)).without_sides()
-    assert (empty.edges, empty.points) == (None, None)
-    assert ImageFeatures().without_sides().edges is None
-
-
-def test_points_of_the_cloud_features_are_checked() -> None:
+    assert (empty.edges, empty.points, ImageFeatures().without_sides().edges) == (None, None, None)
     with pytest.raises(InputError, match="points of the cloud features has the wrong shape"):
         CloudFeatures(points=XYZ[:, :2])
 
 
-def test_the_ends_of_an_edge_are_half_a_gap_towards_and_away_from_its_background() -> None:
+def test_the_ends_of_an_edge_are_half_a_gap_towards_and_away_from_its_background_and_move_with_it() -> None:
     edges = cloud_edges()
     first, last = edges.ends
     np.testing.assert_allclose(0.5 * (first + last), XYZ)
     np.testing.assert_allclose(last - first, np.sqrt(12) * 0.01 * np.arange(5)[:, None] * [0, 1, 0])
     np.testing.assert_allclose(edges.gap_rad * np.linalg.norm(XYZ, axis=1), np.sqrt(12) * 0.01 * np.arange(5))
-
-
-def test_the_ends_of_an_edge_without_a_known_gap_are_at_the_edge() -> None:
-    for end in CloudEdges(XYZ, SIDES).ends:
-        np.testing.assert_array_equal(end, XYZ)
-
-
-def test_the_ends_of_edges_move_with_them() -> None:
     motion = se3.exp(np.array([0.3, -0.2, 1.0, 0.5, 2.0, -1.0]))
-    edges = cloud_edges()
     for moved, end in zip(edges.moved(motion).ends, edges.ends, strict=True):
         np.testing.assert_allclose(moved, se3.apply(motion, end), atol=1e-12)
+    for end in CloudEdges(XYZ, SIDES).ends:  # without a known gap
+        np.testing.assert_array_equal(end, XYZ)

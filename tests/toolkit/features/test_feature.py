@@ -54,39 +54,30 @@ def view(cloud: CloudFeatures) -> View:
     return View("v", PINHOLE, ImageFeatures(features=[GreyMap(np.ones((4, 4)))]), cloud)
 
 
-def test_a_kind_of_a_plugin_moves_with_the_others() -> None:
-    moved = view(CloudFeatures(EDGES, features=[POLES])).moved(MOVE)
-    np.testing.assert_allclose(moved.get("cloud-poles").foot, moved.cloud_edges.xyz)
-    np.testing.assert_allclose(moved.get("cloud-poles").axis[0], MOVE[:3, 2])
-
-
-def test_features_are_found_by_word_and_count_nothing_where_there_are_none() -> None:
+def test_features_are_found_by_word_and_count_nothing_where_there_are_none_and_those_of_plugins_move_along() -> None:
     seen = view(CloudFeatures(features=[POLES]))
     assert seen.get("cloud-poles") is POLES
     assert (seen.count("cloud-poles"), seen.count("image-grey"), seen.count("cloud-edges")) == (50, 16, 0)
     assert seen.get("cloud-edges") is None
     assert seen.cloud.words == {"cloud-poles"}
+    moved = view(CloudFeatures(EDGES, features=[POLES])).moved(MOVE)
+    np.testing.assert_allclose(moved.get("cloud-poles").foot, moved.cloud_edges.xyz)
+    np.testing.assert_allclose(moved.get("cloud-poles").axis[0], MOVE[:3, 2])
 
 
-def test_having_takes_the_place_of_the_same_kind_only() -> None:
-    cloud = CloudFeatures(EDGES, features=[POLES]).having(EDGES.select(np.arange(3)))
-    assert (len(cloud.edges), len(cloud.get("cloud-poles"))) == (3, 50)
-    # The older way of writing the same.
-    assert len(replace(CloudFeatures(EDGES, features=[POLES]), edges=EDGES.select([0])).edges) == 1
-
-
-def test_thinning_leaves_at_most_so_many_of_each_kind_spread_over_their_order() -> None:
+def test_thinning_having_and_forgetting_sides_work_by_kind() -> None:
     cloud = CloudFeatures(EDGES, XYZ, features=[POLES]).thinned(10)
     assert [len(feature) for feature in cloud] == [10, 10, 10]
     np.testing.assert_array_equal(cloud.get("cloud-poles").foot[[0, -1]], XYZ[[0, -1]])
     assert CloudFeatures(features=[POLES]).thinned(50).get("cloud-poles") is POLES
     assert len(POLES.thinned(0)) == 0
-
-
-def test_forgetting_sides_touches_those_that_have_them() -> None:
+    cloud = CloudFeatures(EDGES, features=[POLES]).having(EDGES.select(np.arange(3)))
+    assert (len(cloud.edges), len(cloud.get("cloud-poles"))) == (3, 50)
     forgotten = CloudFeatures(EDGES, features=[POLES]).without_sides()
     assert set(forgotten.edges.side) == {Side.NONE}
     assert forgotten.get("cloud-poles") is POLES
+    # The older way of writing the same as `having`.
+    assert len(replace(CloudFeatures(EDGES, features=[POLES]), edges=EDGES.select([0])).edges) == 1
 
 
 def test_points_move_with_their_normals_and_untwist_by_their_own_times() -> None:
@@ -138,9 +129,7 @@ def test_what_is_no_feature_is_refused(make, text: str) -> None:
 def test_a_kind_that_does_not_say_how_it_moves_cannot_be_moved_unnoticed() -> None:
     with pytest.raises(TypeError, match="Mute does not define moved"):
         CloudFeatures(features=[Mute()]).moved(MOVE)
-
-
-def test_edges_given_twice_are_the_ones_given_by_name() -> None:
+    # Edges given twice are the ones given by name.
     uv = np.zeros((2, 2))
     old, new = ImageEdges(uv, np.zeros(2, np.int8)), ImageEdges(uv[:1], np.zeros(1, np.int8))
     assert ImageFeatures(new, features=[old]).edges is new

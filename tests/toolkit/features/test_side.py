@@ -11,7 +11,6 @@ from p2o import SIDES, Camera, Side
 from p2o.features.occlusion import edges_from_orders, occlusion_orders
 
 PAGE = Path(__file__).parents[3] / "docs" / "conventions.md"
-BLOCKS = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
 
 TABLE = [
     (Side.LEFT, 0, "L", (-1, 0)),
@@ -31,10 +30,6 @@ def test_number_letter_and_arrow_are_those_of_the_table(
     assert row.split("|")[2:5] == [f" {number} ", f" {letter} ", f" {arrow} "]
 
 
-def test_the_four_sides_are_listed_in_the_order_of_their_numbers() -> None:
-    assert [int(side) for side in SIDES] == [0, 1, 2, 3]
-
-
 def test_a_flip_exchanges_left_and_right_and_nothing_else() -> None:
     for side in Side:
         du, dv = side.background
@@ -46,6 +41,9 @@ def test_a_box_in_front_of_a_wall_has_its_letters_on_its_own_pixels() -> None:
     depth_m = np.full((7, 8), 10.0)
     depth_m[2:5, 3:5] = 5.0
     uv, side = edges_from_orders(occlusion_orders(depth_m, Camera.pinhole(100, 100, 3.5, 3, 8, 7)))
+    for (u, v), s in zip(uv.astype(int), side, strict=True):  # the arrow leads to something farther
+        du, dv = Side(int(s)).background
+        assert (depth_m[v, u], depth_m[v + dv, u + du]) == (5, 10)
     found = {s: sorted(map(tuple, uv[side == s].astype(int).tolist())) for s in SIDES}
     assert found == {
         Side.LEFT: [(3, 2), (3, 3), (3, 4)],
@@ -55,21 +53,9 @@ def test_a_box_in_front_of_a_wall_has_its_letters_on_its_own_pixels() -> None:
     }
 
 
-def test_the_arrow_leads_from_every_edge_to_something_farther() -> None:
-    depth_m = np.full((7, 8), 10.0)
-    depth_m[2:5, 3:5] = 5.0
-    for (u, v), s in zip(*edges_from_orders(occlusion_orders(depth_m, Camera.pinhole(9, 9, 3, 3, 8, 7))), strict=True):
-        du, dv = Side(int(s)).background
-        assert depth_m[int(v), int(u)] == 5
-        assert depth_m[int(v) + dv, int(u) + du] == 10
-
-
-@pytest.mark.parametrize("block", BLOCKS, ids=range(len(BLOCKS)))
-def test_the_blocks_of_the_conventions_page_assert_what_they_say(block: str) -> None:
-    assert "assert " in block  # tests/test_pages.py runs them
-
-
-def test_the_conventions_page_has_a_block_a_section() -> None:
+def test_the_conventions_page_has_a_block_a_section_that_asserts_what_it_says() -> None:
+    """And tests/test_pages.py runs them."""
     text = PAGE.read_text(encoding="utf-8")
+    assert all("assert " in block for block in re.findall(r"```python\n(.*?)```", text, re.DOTALL))
     sections = re.split(r"^## ", text, flags=re.MULTILINE)[1:]
     assert [s.splitlines()[0] for s in sections if "```python" not in s] == ["Units and names"]

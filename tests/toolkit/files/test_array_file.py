@@ -46,29 +46,17 @@ def test_arrays_come_back_as_numpy_wrote_them(array: Any) -> None:
         assert found.dtype == array.dtype
         assert found.shape == array.shape
         assert found.tobytes() == array.tobytes()
+    assert packed.flags.writeable
 
 
-def test_headers_of_other_writers_are_read() -> None:
-    body = np.arange(6, dtype="<f4").tobytes()
-    compact = "{'fortran_order':False,'shape':(2,3),'descr':'<f4'}\n"
-    python_2 = "{'descr': '<f4', 'fortran_order': False, 'shape': (2L, 3L), }"
-    assert np.array_equal(read_npy(header(compact, body)), np.arange(6).reshape(2, 3))
-    with pytest.warns(UserWarning, match="Python 2"):
-        assert np.array_equal(read_npy(header(python_2, body)), np.arange(6).reshape(2, 3))
-
-
-@pytest.mark.parametrize(
-    "shape", ["(1000000, 1000000)", "(1000000000000,)", f"({'9' * 5000},)", "(8,)", "(-1,)", "(2, -2, -2)"]
-)
-def test_a_header_that_promises_more_than_the_file_is_refused_before_memory_is_taken(shape: str) -> None:
-    text = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}"
-    with pytest.raises(InputError, match=r"d\.npy: this is not an \.npy file of numbers"):
-        read_npy(header(text, bytes(40)), "d.npy")
+# Headers that promise more than the file holds, which is found out before memory is taken.
+SHAPES = ["(1000000, 1000000)", "(1000000000000,)", f"({'9' * 5000},)", "(8,)", "(-1,)", "(2, -2, -2)"]
 
 
 @pytest.mark.parametrize(
     "data",
     [
+        *(header(f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}", bytes(40)) for shape in SHAPES),
         b"\x93NUMPY",
         header("{'descr': '<f8', 'shape': (1,), }", bytes(8)),
         header("{'descr': '|O', 'fortran_order': False, 'shape': (1,), }", bytes(8)),
@@ -86,21 +74,18 @@ def test_what_is_no_plain_array_is_refused(data: bytes) -> None:
 
 def test_an_archive_that_unpacks_to_too_much_is_refused_before_it_is_unpacked() -> None:
     data = npz(a=np.zeros(1 << 20), b=np.zeros(1 << 20))
-    assert len(data) < 1 << 16
     with pytest.raises(InputError, match=r"d\.npz: the unpacked \.npz archive is too large; expected at most 8388608"):
         read_npz(data, "d.npz", most=1 << 23)
     assert set(read_npz(data, "d.npz", most=1 << 25)) == {"a", "b"}
-
-
-def test_an_archive_whose_directory_lies_about_sizes_gives_no_more_than_it_says() -> None:
-    data = bytearray(npz(a=np.zeros(1 << 20)))
-    at = data.rfind(b"PK\x01\x02")
-    data[at + 24 : at + 28] = (1 << 10).to_bytes(4, "little")
+    # One whose directory lies about sizes gives no more than it says.
+    lying = bytearray(npz(a=np.zeros(1 << 20)))
+    at = lying.rfind(b"PK\x01\x02")
+    lying[at + 24 : at + 28] = (1 << 10).to_bytes(4, "little")
     with pytest.raises(InputError, match=r"not an \.npz archive, or it is damaged"):
-        read_npz(bytes(data), "d.npz", most=1 << 12)
+        read_npz(bytes(lying), "d.npz", most=1 << 12)
 
 
-def test_archives_with_objects_of_another_packing_or_cut_off_are_refused() -> None:
+def test_archives_with_objects_of_another_packing_or_cut_off_are_refused_and_headers_of_others_read() -> None:
     with pytest.raises(InputError, match=r"d\.npz: the \.npz archive holds pickled objects"):
         read_npz(npz(a=np.array([{}], dtype=object)), "d.npz")
     file = io.BytesIO()
@@ -109,9 +94,9 @@ def test_archives_with_objects_of_another_packing_or_cut_off_are_refused() -> No
     for data in (file.getvalue(), npz(a=np.zeros(9))[:-9], b"PK", npy(np.zeros(3))):
         with pytest.raises(InputError, match=r"d\.npz: this is not an \.npz archive, or it is damaged"):
             read_npz(data, "d.npz")
-
-
-def test_the_arrays_of_an_archive_may_be_written_to() -> None:
-    array = read_npz(npz(a=np.zeros(3)))["a"]
-    array[1] = 2
-    assert array.tolist() == [0, 2, 0]
+    body = np.arange(6, dtype="<f4").tobytes()
+    compact = "{'fortran_order':False,'shape':(2,3),'descr':'<f4'}\n"
+    python_2 = "{'descr': '<f4', 'fortran_order': False, 'shape': (2L, 3L), }"
+    assert np.array_equal(read_npy(header(compact, body)), np.arange(6).reshape(2, 3))
+    with pytest.warns(UserWarning, match="Python 2"):
+        assert np.array_equal(read_npy(header(python_2, body)), np.arange(6).reshape(2, 3))

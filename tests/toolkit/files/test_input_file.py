@@ -21,7 +21,7 @@ from p2o.files.input_file import (
 )
 
 
-def test_pipes_sockets_devices_and_links_to_them_are_never_opened(tmp_path: Path) -> None:
+def test_pipes_sockets_devices_links_to_them_and_huge_sparse_files_are_never_opened(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "zero").symlink_to("/dev/zero")
     (tmp_path / "link").symlink_to(tmp_path / "pipe")
@@ -33,9 +33,6 @@ def test_pipes_sockets_devices_and_links_to_them_are_never_opened(tmp_path: Path
         for name, kind in (("pipe", "named pipe"), ("link", "named pipe"), ("zero", "device"), ("socket", "socket")):
             with pytest.raises(InputError, match=f"the image is a {kind}"):
                 read_bytes(tmp_path / name, "image")
-
-
-def test_a_sparse_file_that_says_it_is_huge_is_not_read(tmp_path: Path) -> None:
     with (tmp_path / "huge").open("wb") as file:
         file.truncate(MAX_TEXT_BYTES + 1)
     with pytest.raises(InputError, match="too large"):
@@ -50,67 +47,46 @@ def test_names_that_no_file_can_have_are_told(tmp_path: Path, name: str) -> None
         existing_folder(tmp_path / name, "frames")
 
 
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [
-        ("loop", "the image cannot be read"),
-        ("nowhere", "nowhere: the image is missing"),
-        ("folder", "folder: the image is a folder"),
-        ("empty", "empty: the image is empty"),
-    ],
-)
-def test_what_is_no_file_with_content_is_named(tmp_path: Path, name: str, message: str) -> None:
+def test_what_is_no_file_with_content_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "loop").symlink_to(tmp_path / "back")
     (tmp_path / "back").symlink_to(tmp_path / "loop")
     (tmp_path / "folder").mkdir()
     (tmp_path / "empty").touch()
-    with pytest.raises(InputError, match=message):
-        read_bytes(tmp_path / name, "image")
+    (tmp_path / "calib.txt").write_bytes(b"\xff\xfe\x00P2")
+    for name, message in (
+        ("loop", "the image cannot be read"),
+        ("nowhere", "nowhere: the image is missing"),
+        ("folder", "folder: the image is a folder"),
+        ("empty", "empty: the image is empty"),
+    ):
+        with pytest.raises(InputError, match=message):
+            read_bytes(tmp_path / name, "image")
+    with pytest.raises(InputError, match=r"calib\.txt: the calibration file is not text"):
+        read_text(tmp_path / "calib.txt", "calibration file")
 
+    def refuse(self: Path) -> bytes:
+        raise PermissionError(13, "Permission denied")
 
-def test_the_home_of_nobody_is_told() -> None:
+    monkeypatch.setattr(Path, "read_bytes", refuse)
+    with pytest.raises(InputError, match=r"calib\.txt: the image cannot be read; got Permission denied"):
+        read_bytes(tmp_path / "calib.txt", "image")
     with pytest.raises(InputError, match="home folder of an unknown user"):
         expanded("~nosuch-user/data")
     assert expanded("~") == Path.home()
 
 
-def test_a_file_without_permission_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(self: Path) -> bytes:
-        raise PermissionError(13, "Permission denied")
-
-    (tmp_path / "a.png").write_bytes(b"1")
-    monkeypatch.setattr(Path, "read_bytes", refuse)
-    with pytest.raises(InputError, match=r"a\.png: the image cannot be read; got Permission denied"):
-        read_bytes(tmp_path / "a.png", "image")
-
-
-def test_bytes_that_are_no_text_are_named(tmp_path: Path) -> None:
-    (tmp_path / "calib.txt").write_bytes(b"\xff\xfe\x00P2")
-    with pytest.raises(InputError, match=r"calib\.txt: the calibration file is not text"):
-        read_text(tmp_path / "calib.txt", "calibration file")
-
-
-def test_naming_adds_a_place_only_where_none_is_given() -> None:
-    with pytest.raises(InputError, match=r"^a\.txt: wrong; expected 1; got 2; look$"), naming(Path("a.txt")):
-        raise InputError("wrong", expected=1, got=2, hint="look")
-    with pytest.raises(InputError, match=r"^b\.txt: wrong$"), naming(Path("a.txt")):
-        raise InputError("wrong", where="b.txt")
-
-
-def test_the_folder_of_a_dataset_must_exist_and_be_a_folder(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    with pytest.raises(InputError, match="nowhere: no such folder; expected the folder of frames"):
-        existing_folder(tmp_path / "nowhere", "frames")
-    with pytest.raises(InputError, match="file: the folder of frames is a file"):
-        existing_folder(tmp_path / "file", "frames")
-
-
-def test_a_folder_is_listed_in_order_and_one_that_cannot_be_is_named(tmp_path: Path) -> None:
+def test_a_folder_is_listed_in_order_what_is_no_folder_is_named_and_naming_adds_a_place_once(tmp_path: Path) -> None:
     for name in "bca":
         (tmp_path / name).touch()
     assert [path.name for path in listing(tmp_path, "frames")] == ["a", "b", "c"]
     with pytest.raises(InputError, match="a: the folder of frames cannot be read; got Not a directory"):
         listing(tmp_path / "a", "frames")
+    with pytest.raises(InputError, match="a: the folder of frames is a file"):
+        existing_folder(tmp_path / "a", "frames")
+    with pytest.raises(InputError, match=r"^a\.txt: wrong; expected 1; got 2; look$"), naming(Path("a.txt")):
+        raise InputError("wrong", expected=1, got=2, hint="look")
+    with pytest.raises(InputError, match=r"^b\.txt: wrong$"), naming(Path("a.txt")):
+        raise InputError("wrong", where="b.txt")
 
 
 def test_the_start_of_a_file_of_any_size_is_read_and_what_is_no_file_is_refused(tmp_path: Path) -> None:

@@ -9,15 +9,10 @@ from p2o.files.parsed_text import parse_json, parse_toml, parse_yaml
 BOMB = "a: &a [1,1,1,1,1,1,1,1]\n" + "".join(f"{y}: &{y} [*{x},*{x},*{x},*{x}]\n" for x, y in zip("abcde", "bcdef"))  # noqa: B905
 
 
-@pytest.mark.parametrize("text", [BOMB, "a: &a 1\nb: *a", "a: &a {x: 1}\nb:\n  <<: *a", "[&a x, *a]"])
-def test_an_alias_is_refused_before_anything_is_built(text: str) -> None:
-    with pytest.raises(InputError, match="alias"):
-        parse_yaml(text, "frame file")
-
-
-@pytest.mark.parametrize("text", ["!!python/object/apply:os.system ['true']", "!!python/name:os.system", "!thing 1"])
-def test_objects_are_not_built(text: str) -> None:
-    with pytest.raises(InputError, match="objects, which are not supported"):
+@pytest.mark.parametrize("text", [BOMB, "a: &a 1\nb: *a", "a: &a {x: 1}\nb:\n  <<: *a", "[&a x, *a]",
+    "!!python/object/apply:os.system ['true']", "!!python/name:os.system", "!thing 1"])  # fmt: skip
+def test_aliases_and_objects_are_refused_before_anything_is_built(text: str) -> None:
+    with pytest.raises(InputError, match="objects, which are not supported" if text[0] == "!" else "alias"):
         parse_yaml(text, "frame file")
 
 
@@ -42,20 +37,14 @@ def test_text_that_nests_without_end_is_one_line(parse, text: str) -> None:  # t
 
 
 @pytest.mark.parametrize(
-    ("parse", "text"), [(parse_json, "9" * 5000), (parse_toml, "a = " + "9" * 5000), (parse_yaml, "9" * 5000)]
-)
-def test_numbers_of_more_digits_than_python_takes_are_one_line(parse, text: str) -> None:  # type: ignore[no-untyped-def]
-    with pytest.raises(InputError, match=r"is not (JSON|TOML|YAML)"):
-        parse(text, "file")
-
-
-@pytest.mark.parametrize("number", ["9" * 400, "-" + "9" * 400])
-@pytest.mark.parametrize(
     ("parse", "text"), [(parse_json, '{"a": [%s]}'), (parse_toml, "a = [%s]"), (parse_yaml, "a: [%s]")]
 )
-def test_integers_that_fit_no_float_are_one_line(parse, text: str, number: str) -> None:  # type: ignore[no-untyped-def]
-    with pytest.raises(InputError, match="the file contains too large a number"):
-        parse(text % number, "file")
+def test_integers_that_fit_no_float_or_that_python_does_not_read_are_one_line(parse, text: str) -> None:  # type: ignore[no-untyped-def]
+    for number in ("9" * 400, "-" + "9" * 400):
+        with pytest.raises(InputError, match="the file contains too large a number"):
+            parse(text % number, "file")
+    with pytest.raises(InputError, match=r"is not (JSON|TOML|YAML)"):
+        parse(text % ("9" * 5000), "file")
     assert parse(text % 2**128, "file") == {"a": [2**128]}
 
 
@@ -74,7 +63,5 @@ def test_half_of_a_letter_which_no_file_can_hold_is_one_line(parse, text: str) -
     with pytest.raises(InputError, match=r"a lone surrogate|invalid Unicode"):
         parse(text, "file")
     assert parse_json('"\\ud83d\\ude00"', "file") == "\U0001f600", "two halves are one"
-
-
-def test_halves_of_letters_stay_where_names_of_files_may_be() -> None:
+    # They stay where names of files may be.
     assert parse_json('["\\udcff"]', "file", halves=True) == ["\udcff"]

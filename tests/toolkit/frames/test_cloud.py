@@ -7,7 +7,10 @@ from p2o import Cloud, InputError, se3
 XYZ = np.arange(12.0).reshape(4, 3) + 1
 
 
-def test_points_are_kept_in_order_and_cannot_be_changed() -> None:
+def test_points_are_kept_in_order_and_cannot_be_changed_and_selecting_takes_all_fields_alike() -> None:
+    mine = XYZ.copy()
+    Cloud(mine)
+    assert mine.flags.writeable
     cloud = Cloud(XYZ.astype(np.float32), ring=[3, 2, 1, 0], intensity=np.ones(4, np.float32))
     assert np.array_equal(cloud.xyz, XYZ)
     assert (cloud.xyz.dtype, cloud.ring.dtype, cloud.intensity.dtype) == (np.float64, np.int64, np.float64)
@@ -16,13 +19,13 @@ def test_points_are_kept_in_order_and_cannot_be_changed() -> None:
         cloud.xyz[0] = 0
     with pytest.raises(ValueError, match="read-only"):
         cloud.ring[0] = 0
-
-
-def test_the_array_given_stays_writable() -> None:
-    mine = XYZ.copy()
-    Cloud(mine)
-    mine[0] = 0
-    assert mine.flags.writeable
+    cloud = Cloud(XYZ, ring=[0, 1, 2, 3], column=[9, 8, 7, 6])
+    for index in (np.array([2, 0]), np.array([True, False, True, False])):
+        part = cloud.select(index)
+        assert np.array_equal(part.xyz, XYZ[index])
+        assert np.array_equal(part.ring, np.arange(4)[index])
+        assert np.array_equal(part.column, np.array([9, 8, 7, 6])[index])
+        assert part.intensity is None
 
 
 @pytest.mark.parametrize(
@@ -42,15 +45,12 @@ def test_what_is_no_cloud_is_refused(xyz: object, message: str) -> None:
 
 
 @pytest.mark.parametrize("field", ["ring", "intensity", "time_s", "column"])
-def test_every_field_has_one_value_a_point(field: str) -> None:
+def test_every_field_has_one_value_a_point_and_a_finite_one(field: str) -> None:
     with pytest.raises(InputError, match=rf"{field} has the wrong shape; expected \(4\); got \(3,\)"):
         Cloud(XYZ, **{field: np.zeros(3)})
-
-
-@pytest.mark.parametrize("field", ["intensity", "time_s"])
-def test_fields_must_be_finite(field: str) -> None:
-    with pytest.raises(InputError, match=rf"{field} contains values that are not finite"):
-        Cloud(XYZ, **{field: np.array([0, 1, np.nan, 2])})
+    if field in ("intensity", "time_s"):
+        with pytest.raises(InputError, match=rf"{field} contains values that are not finite"):
+            Cloud(XYZ, **{field: np.array([0, 1, np.nan, 2])})
 
 
 def test_missing_returns_are_dropped_from_every_field_and_counted() -> None:
@@ -60,31 +60,12 @@ def test_missing_returns_are_dropped_from_every_field_and_counted() -> None:
     assert np.array_equal(cloud.ring, [0, 3])
     assert cloud.time_s is None
     assert warnings == ("2 of 5 points dropped: NaN or infinite", "1 of 5 points dropped: all zero")
-
-
-def test_a_clean_cloud_gives_no_warnings() -> None:
     assert Cloud.from_raw(XYZ)[1] == ()
-
-
-@pytest.mark.parametrize(("value", "kind"), [(0.0, "3 all-zero"), (np.nan, "3 NaN or infinite")])
-def test_a_cloud_without_one_good_point_is_refused(value: float, kind: str) -> None:
-    with pytest.raises(InputError, match=f"the cloud has no valid point; .*{kind} points"):
-        Cloud.from_raw(np.full((3, 3), value))
-
-
-def test_a_cloud_of_nothing_is_refused() -> None:
+    for value, kind in ((0.0, "3 all-zero"), (np.nan, "3 NaN or infinite")):
+        with pytest.raises(InputError, match=f"the cloud has no valid point; .*{kind} points"):
+            Cloud.from_raw(np.full((3, 3), value))
     with pytest.raises(InputError, match="the cloud has no points"):
         Cloud.from_raw(np.zeros((0, 3)))
-
-
-def test_selecting_takes_all_fields_alike() -> None:
-    cloud = Cloud(XYZ, ring=[0, 1, 2, 3], column=[9, 8, 7, 6])
-    for index in (np.array([2, 0]), np.array([True, False, True, False])):
-        part = cloud.select(index)
-        assert np.array_equal(part.xyz, XYZ[index])
-        assert np.array_equal(part.ring, np.arange(4)[index])
-        assert np.array_equal(part.column, np.array([9, 8, 7, 6])[index])
-        assert part.intensity is None
 
 
 def test_a_corrected_sweep_tells_what_was_measured() -> None:
@@ -94,9 +75,6 @@ def test_a_corrected_sweep_tells_what_was_measured() -> None:
     np.testing.assert_allclose(cloud.select(np.array([1, 0])).as_measured(), [[10, 0, 0], [15, 0, 0]])
     raw = Cloud([[10.0, 0, 0]], time_s=[0.1])
     assert raw.as_measured() is raw.xyz
-
-
-def test_correction_for_motion_needs_times() -> None:
     with pytest.raises(InputError, match="has no times"):
         Cloud([[1.0, 0, 0]], twist=[0, 0, 0, 1, 0, 0])
     with pytest.raises(InputError, match="twist"):
@@ -118,9 +96,6 @@ def test_a_sweep_for_a_later_moment_is_seen_from_where_the_sensor_is_then() -> N
     assert np.allclose(corrected.as_measured(), XYZ, atol=1e-12)
     expected = se3.apply(se3.exp(-0.01 * TWIST), raw.untwisted(TWIST).xyz)
     assert np.allclose(corrected.xyz, expected, atol=1e-12)
-
-
-def test_a_sweep_without_times_is_moved_as_a_whole() -> None:
-    later = Cloud(XYZ).later(0.01, TWIST)
-    assert np.allclose(later.xyz, se3.apply(se3.exp(-0.01 * TWIST), XYZ), atol=1e-12)
-    assert later.time_s is None
+    timeless = Cloud(XYZ).later(0.01, TWIST)  # is moved as a whole
+    assert np.allclose(timeless.xyz, se3.apply(se3.exp(-0.01 * TWIST), XYZ), atol=1e-12)
+    assert timeless.time_s is None

@@ -8,11 +8,18 @@ CAMERA = Camera.pinhole(5, 5, 3, 2, 7, 5)
 RGB = np.random.default_rng(0).integers(0, 256, (5, 7, 3), dtype=np.uint8)
 
 
-def test_an_image_cannot_be_changed() -> None:
+def test_an_image_cannot_be_changed_and_depth_may_be_unknown_or_sky_but_not_zero() -> None:
     image = Image(RGB, CAMERA, depth_m=np.ones((5, 7)), masked=np.zeros((5, 7), bool))
     for array in (image.rgb, image.depth_m, image.masked):
         with pytest.raises(ValueError, match="read-only"):
             array[0, 0] = 1
+    depth = np.full((5, 7), 2.0)
+    depth[0, 0], depth[0, 1] = np.nan, np.inf
+    image = Image(RGB, CAMERA, depth_m=depth)
+    assert np.array_equal(image.depth_m, depth, equal_nan=True)
+    depth[1, 1] = 0
+    with pytest.raises(InputError, match=r"depth is not positive; .*got 0"):
+        Image(RGB, CAMERA, depth_m=depth)
 
 
 @pytest.mark.parametrize("name", ["rgb", "right"])
@@ -23,11 +30,6 @@ def test_a_picture_that_is_not_rgb_is_refused_with_what_to_do(name: str, shape: 
         Image(camera=CAMERA, **pictures)
 
 
-def test_floating_point_pixels_are_refused() -> None:
-    with pytest.raises(InputError, match=r"the image \(rgb\) is not 8 bit; expected uint8; got float64"):
-        Image(RGB / 255, CAMERA)
-
-
 @pytest.mark.parametrize("name", ["rgb", "right", "depth_m", "masked"])
 def test_a_size_that_does_not_fit_the_camera_is_refused(name: str) -> None:
     values = {"rgb": RGB, "right": RGB, "baseline_m": 0.5, "depth_m": np.ones((5, 7)), "masked": np.zeros((5, 7), bool)}
@@ -36,21 +38,10 @@ def test_a_size_that_does_not_fit_the_camera_is_refused(name: str) -> None:
         InputError, match=rf"the image size \({name}\) does not fit the camera; expected 7x5 px; got 7x4"
     ):
         Image(camera=CAMERA, **values)
-
-
-def test_width_and_height_are_not_mixed_up() -> None:
+    with pytest.raises(InputError, match=r"the image \(rgb\) is not 8 bit; expected uint8; got float64"):
+        Image(RGB / 255, CAMERA)
     with pytest.raises(InputError, match="expected 7x5 px; got 5x7 px"):
         Image(RGB.transpose(1, 0, 2), CAMERA)
-
-
-def test_depth_may_be_unknown_or_sky_but_not_zero() -> None:
-    depth = np.full((5, 7), 2.0)
-    depth[0, 0], depth[0, 1] = np.nan, np.inf
-    image = Image(RGB, CAMERA, depth_m=depth)
-    assert np.array_equal(image.depth_m, depth, equal_nan=True)
-    depth[1, 1] = 0
-    with pytest.raises(InputError, match=r"depth is not positive; .*got 0"):
-        Image(RGB, CAMERA, depth_m=depth)
 
 
 @pytest.mark.parametrize("half", [{"right": RGB}, {"baseline_m": 0.5}])
@@ -65,9 +56,7 @@ def test_grey_is_luma() -> None:
     grey = Image(pixels, CAMERA).grey
     assert grey[0, :5].tolist() == [76, 150, 29, 255, 0]
     assert grey.shape == (5, 7)
-
-
-def test_grey_is_the_same_whether_a_picture_fits_into_one_band_or_not() -> None:
+    # A picture that does not fit into one band.
     rgb = np.random.default_rng(0).integers(0, 256, (600, 5, 3), dtype=np.uint8)
     grey = Image(rgb, Camera.pinhole(5, 5, 2, 300, 5, 600)).grey
     wanted = np.floor(rgb @ np.array([0.299, 0.587, 0.114]) + 0.5)

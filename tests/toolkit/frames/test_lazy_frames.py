@@ -23,16 +23,13 @@ def recording() -> tuple[LazyFrames, list[str]]:
     return LazyFrames({n: n for n in "abcde"}, reader, {"f": "f.bin is missing"}), read
 
 
-def test_nothing_is_read_before_a_frame_is_asked_for() -> None:
+def test_nothing_is_read_before_it_is_asked_for_indices_are_those_of_a_list_and_left_out_frames_say_why() -> None:
     dataset, read = recording()
     assert isinstance(dataset, Dataset)
     part = dataset[1:4]
     assert (dataset.names, len(dataset), part.names, len(part), read) == (tuple("abcde"), 5, tuple("bcd"), 3, [])
     assert part[1].name == "c"
     assert read == ["c"]
-
-
-def test_slices_and_indices_are_those_of_a_list() -> None:
     dataset, _ = recording()
     assert dataset[-1].name == "e"
     assert dataset[::-2].names == tuple("eca")
@@ -40,10 +37,6 @@ def test_slices_and_indices_are_those_of_a_list() -> None:
     assert [f.name for f in dataset] == list("abcde")
     with pytest.raises(IndexError):
         dataset[5]
-
-
-def test_a_frame_that_was_left_out_says_which_file_is_missing() -> None:
-    dataset, _ = recording()
     assert dataset.frame("d").name == "d"
     with pytest.raises(InputError, match=r"frame 'f' is left out; got f\.bin is missing"):
         dataset.frame("f")

@@ -24,15 +24,12 @@ def shuffled(cloud):
     return cloud.select(np.random.default_rng(1).permutation(len(cloud)))
 
 
-def test_elevations_tell_ring_count_any_order_and_number_them_upwards():
+def test_elevations_tell_rings_in_any_order_upwards_but_not_of_beams_that_do_not_cross_in_the_origin():
     cloud = shuffled(sweep())
     x, y, z = cloud.xyz.T.astype(np.float32)
     label, by = told_rings(np.mod(np.arctan2(y, x), np.float32(2 * np.pi)), z / np.hypot(x, y))
     assert by == "the elevations of the points"
     np.testing.assert_array_equal(label, 15 - cloud.ring)
-
-
-def test_beams_that_do_not_cross_in_the_origin_tell_no_rings_by_elevation():
     x, y, z = shuffled(sweep(lift_m=0.2)).xyz.T.astype(np.float32)
     with pytest.raises(RingsUnknownError, match="range-view"):
         told_rings(np.mod(np.arctan2(y, x), np.float32(2 * np.pi)), z / np.hypot(x, y))
@@ -45,11 +42,7 @@ def test_a_check_says_how_many_rings_there_are_and_what_tells_them():
     assert ring_count(Cloud(sweep(lift_m=0.2).xyz)) == "16 rings from the order of the points"
     assert ring_count(Cloud(shuffled(sweep(lift_m=0.2)).xyz)) == "no rings"
     assert ring_count(Cloud([[1.0, 2, 3]])) == "no rings"
-
-
-def test_scattered_points_tell_no_rings():
-    rng = np.random.default_rng(0)
-    assert ring_count(Cloud(rng.normal(size=(5000, 3)))) == "no rings"
+    assert ring_count(Cloud(np.random.default_rng(0).normal(size=(5000, 3)))) == "no rings"
 
 
 def spinning(rings, *, noise_deg, seam_deg=0.0, missing_deg=0.0, clockwise=False, upwards=False):
@@ -70,7 +63,7 @@ def spinning(rings, *, noise_deg, seam_deg=0.0, missing_deg=0.0, clockwise=False
     return (range_m[:, None] * rays)[order], ring[order]
 
 
-@pytest.mark.parametrize("rings", [16, 32, 40, 64, 128])
+@pytest.mark.parametrize("rings", [16, 40, 128])
 @pytest.mark.parametrize(
     "order",
     [
@@ -92,7 +85,7 @@ def test_rings_are_those_of_the_sensor_where_they_start_at_different_azimuths(ri
     assert wrong < 0.01 * len(ring)
 
 
-@pytest.mark.parametrize("rings", [16, 64, 128])
+@pytest.mark.parametrize("rings", [16, 128])
 def test_elevations_of_a_sweep_column_by_column_may_be_noisy(rings):
     xyz, ring = spinning(rings, noise_deg=2.5 / rings)
     order = np.argsort(np.arctan2(xyz[:, 1], xyz[:, 0]), kind="stable")

@@ -41,13 +41,13 @@ def test_every_fourth_ring_is_kept_from_the_highest_whatever_the_rings_are_calle
         np.testing.assert_allclose(elevation_deg(kept)[kept.ring == ring], degrees)
 
 
-def test_rings_that_the_file_does_not_number_are_numbered_after_thinning(street):
+def test_rings_that_the_file_does_not_number_are_numbered_after_thinning_and_all_fields_kept_in_order(street):
     kept = changed(street, Cloud(sweep().xyz), keep_rings="1/2")
     np.testing.assert_allclose(elevation_deg(kept), 15 - 4 * kept.ring)
     assert len(kept) == 8 * 360
-
-
-def test_all_fields_of_the_kept_points_are_kept_in_their_order(street):
+    both = changed(street, sweep(), keep_rings=4, forget_rings=True)
+    assert (len(both), both.ring) == (4 * 360, None)
+    assert sparse(street, SparseOptions()) is street
     cloud = sweep()
     numbered = np.arange(len(cloud))
     cloud = replace(cloud, intensity=numbered / 1e4, time_s=numbered / 1e5, column=numbered, twist=np.zeros(6))
@@ -76,24 +76,11 @@ def test_forgotten_rings_cannot_be_recovered_from_the_order_of_the_points(street
     assert np.any(other != again)
 
 
-def test_both_options_together_give_a_sparse_cloud_without_rings(street):
-    cloud = changed(street, sweep(), keep_rings=4, forget_rings=True)
-    assert len(cloud) == 4 * 360
-    assert cloud.ring is None
-
-
-def test_without_options_the_frame_is_the_same_object(street):
-    assert sparse(street, SparseOptions()) is street
-
-
-def test_unknown_rings_cannot_be_thinned(street):
+def test_unknown_rings_cannot_be_thinned_nor_known_ones_to_a_single_one(street):
     with pytest.raises(InputError, match=r"cannot keep every 4\. ring") as caught:
         changed(street, shuffled(replace(sweep(lift_m=0.2), ring=None)), keep_rings=4)
     assert "\n" not in str(caught.value)
     assert street.name in str(caught.value)
-
-
-def test_a_step_that_leaves_one_ring_is_refused(street):
     with pytest.raises(InputError, match=r"expected keep_rings < 16"):
         changed(street, sweep(), keep_rings=16)
 
@@ -105,14 +92,12 @@ def test_a_wrong_step_is_an_error_of_one_line(text):
     assert "\n" not in str(caught.value)
 
 
-def test_every_data_set_has_the_options():
+def test_every_data_set_has_the_options_unless_it_has_one_of_that_name():
     offers = Registry.load().of_kind(Kind.DATASET)
     assert len(offers) > 10
     assert [o.name for o in offers if not issubclass(o.method.options, SparseOptions)] == []
     assert all(list(o.method.options.model_fields)[-2:] == ["keep_rings", "forget_rings"] for o in offers)
 
-
-def test_a_data_set_with_an_option_of_that_name_keeps_its_own():
     class Own(p2o.Options):
         keep_rings: str = "mine"
 

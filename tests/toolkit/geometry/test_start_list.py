@@ -29,53 +29,35 @@ def of_lines(starts: StartList, names: tuple[str, ...], *indices: int) -> list[i
     return [int(d.argmin()) for d in differences]
 
 
-def test_the_words_say_file_and_side() -> None:
+def test_a_line_is_the_logarithm_with_the_rotation_first_and_words_say_file_and_side(tmp_path: Path) -> None:
+    truth, error = se3.exp(np.array([0.3, -1.0, 0.4, 1, 2, 3])), np.array([0, 0, 0.5, 0.1, 0.2, 0.3])
+    found = written(tmp_path, "0 0 0.5 0.1 0.2 0.3").errors(("a",), [0])[0]
+    np.testing.assert_allclose(se3.log(found), error, atol=1e-12)
+    np.testing.assert_array_equal(StartList("a").start(truth, found), truth @ found)
+    np.testing.assert_array_equal(StartList("a", in_camera=True).start(truth, found), found @ truth)
     assert parse_starts("@a list.txt") == StartList("a list.txt")
     assert parse_starts(" camera @a.csv ") == StartList("a.csv", in_camera=True)
     assert parse_starts(str(StartList("a.csv", in_camera=True))) == StartList("a.csv", in_camera=True)
     assert parse_starts("2deg 0.15m") == Perturbation(2, 0.15)
-
-
-@pytest.mark.parametrize("text", ["@", "camera @ ", "uniform @a.txt", "camera"])
-def test_words_that_name_no_file_are_refused(text: str) -> None:
-    with pytest.raises(InputError, match="--perturb"):
-        parse_starts(text)
-
-
-def test_the_error_acts_on_the_side_that_is_said() -> None:
-    truth, error = se3.exp(np.array([0.3, -1.0, 0.4, 1, 2, 3])), se3.exp(ERRORS[0])
-    np.testing.assert_array_equal(StartList("a").start(truth, error), truth @ error)
-    np.testing.assert_array_equal(StartList("a", in_camera=True).start(truth, error), error @ truth)
-
-
-def test_a_line_is_the_logarithm_with_the_rotation_first(tmp_path: Path) -> None:
-    found = written(tmp_path, "0 0 0.5 0.1 0.2 0.3").errors(("a",), [0])[0]
-    np.testing.assert_allclose(se3.log(found), [0, 0, 0.5, 0.1, 0.2, 0.3], atol=1e-12)
+    for text in ("@", "camera @ ", "uniform @a.txt", "camera"):  # name no file
+        with pytest.raises(InputError, match="--perturb"):
+            parse_starts(text)
 
 
 def test_commas_headings_remarks_and_blank_lines_are_no_starts(tmp_path: Path) -> None:
     lines = ["# drawn by us", "r1,r2,r3,t1,t2,t3", "", *(line.replace(" ", ", ") for line in NUMBERS), "  "]
     assert of_lines(written(tmp_path, *lines), NAMES, 0, 4) == [0, 4]
+    for width in (12, 16):  # matrices are read, too
+        lines = [" ".join(map(repr, matrix.reshape(-1)[:width].tolist())) for matrix in se3.exp(ERRORS)]
+        assert of_lines(written(tmp_path, *lines), NAMES, 3) == [3]
+        assert of_lines(written(tmp_path, f"00/000001 {lines[2]}"), NAMES, 1) == [2]
 
 
-@pytest.mark.parametrize("width", [12, 16])
-def test_matrices_are_read_too(tmp_path: Path, width: int) -> None:
-    lines = [" ".join(map(repr, matrix.reshape(-1)[:width].tolist())) for matrix in se3.exp(ERRORS)]
-    assert of_lines(written(tmp_path, *lines), NAMES, 3) == [3]
-    assert of_lines(written(tmp_path, f"00/000001 {lines[2]}"), NAMES, 1) == [2]
-
-
-def test_a_frame_takes_the_line_of_its_number_whichever_frames_are_there(tmp_path: Path) -> None:
-    assert of_lines(written(tmp_path, *NUMBERS), ("00/000002", "00/000004"), 0, 1) == [2, 4]
-    assert of_lines(written(tmp_path, *NUMBERS), ("000003",), 0) == [3]
-
-
-def test_frames_without_numbers_take_lines_in_their_order(tmp_path: Path) -> None:
-    assert of_lines(written(tmp_path, *NUMBERS), ("gate", "hill", "7"), 2, 1) == [2, 1]
-
-
-def test_whole_sequences_follow_one_another_and_sequences_with_gaps_are_refused(tmp_path: Path) -> None:
+def test_frames_take_the_line_of_their_number_or_order_and_gaps_are_refused(tmp_path: Path) -> None:
     starts = written(tmp_path, *NUMBERS)
+    assert of_lines(starts, ("00/000002", "00/000004"), 0, 1) == [2, 4]
+    assert of_lines(starts, ("000003",), 0) == [3]
+    assert of_lines(starts, ("gate", "hill", "7"), 2, 1) == [2, 1]
     assert of_lines(starts, ("a/0", "a/1", "b/0", "b/1"), 2, 3) == [2, 3]
     with pytest.raises(InputError, match=r"starts.txt: the lines cannot be assigned.*frame b/2 after 1"):
         starts.errors(("a/0", "a/1", "b/0", "b/2"), [0])
@@ -88,17 +70,10 @@ def test_lines_may_name_their_frames_in_any_order(tmp_path: Path) -> None:
     assert of_lines(short, NAMES, 3) == [1]
     with pytest.raises(InputError, match="frame 00/000002 has no start in the list"):
         short.errors(NAMES, [3, 2])
-
-
-def test_two_frames_never_share_a_line(tmp_path: Path) -> None:
-    starts = written(tmp_path, f"000000 {NUMBERS[0]}")
-    with pytest.raises(InputError, match="line 1: frames a/000000 and b/000000 use the same line"):
-        starts.errors(("a/000000", "b/000000"), [0, 1])
-
-
-def test_a_list_that_is_too_short_says_for_which_frame(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"too short.*expected 94 starts, the last for frame 00/000093; got 5"):
         written(tmp_path, *NUMBERS).errors(("00/000093",), [0])
+    with pytest.raises(InputError, match="line 1: frames a/000000 and b/000000 use the same line"):
+        written(tmp_path, f"000000 {NUMBERS[0]}").errors(("a/000000", "b/000000"), [0, 1])
 
 
 ROW = NUMBERS[0]
@@ -130,9 +105,6 @@ def test_what_cannot_be_meant_is_refused_with_its_line(tmp_path: Path, lines: li
         written(tmp_path, *lines).errors(("a",), [0])
     assert "\n" not in str(caught.value)
     assert "starts.txt" in str(caught.value)
-
-
-def test_a_file_that_is_none_is_told(tmp_path: Path) -> None:
     for path in (tmp_path / "absent.txt", tmp_path):
         with pytest.raises(InputError, match="the list of starts is"):
             StartList(str(path)).errors(("a",), [0])

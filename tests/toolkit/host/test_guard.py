@@ -67,13 +67,18 @@ def test_a_plain_function_calibrates_frames_without_their_ground_truth() -> None
 
 @pytest.mark.parametrize("kind", [Kind.CALIBRATOR, Kind.INITIALIZER])
 @pytest.mark.parametrize(
-    ("value", "name"), [(None, "NoneType"), (iter([1]), "list_iterator"), (len, "builtin_function_or_method")]
+    ("value", "name"),
+    [
+        (None, "NoneType"),
+        (iter([1]), "list_iterator"),
+        (len, "builtin_function_or_method"),
+        (lambda frame: frame, "function"),
+        (np.ndarray, "type"),
+    ],
 )
-def test_a_method_that_prepares_no_data_is_refused_with_the_name_of_the_frame(
-    kind: Kind, value: Any, name: str
-) -> None:
+def test_a_method_that_prepares_no_data_is_refused_with_the_frame(kind: Kind, value: Any, name: str) -> None:
     frame = stage.frame()
-    with pytest.raises(PluginError, match=f"prepare returned {name} for {frame.name}; expected the data of the frame"):
+    with pytest.raises(PluginError, match=f"{kind} 'fake'.*prepare returned {name} for {frame.name}; expected the"):
         guarded(kind, Recorder(lambda _: value)).prepare(frame)
 
 

@@ -68,6 +68,9 @@ def indexed(package: Path) -> dict[str, p2o.Method]:
 
 def test_a_method_is_imported_when_a_field_is_used_that_the_index_lacks(package: Path) -> None:
     methods = indexed(package)
+    lines = (package / FILE).read_text().splitlines()
+    assert json.loads("".join(lines)).keys() == {"near", "far:method"}
+    assert len(lines) == 4, "one for each method"
     near = methods["near"]
     assert (near.summary, near.needs, near.option_names) == ("A test.", {"pairs"}, ("reach_px",))
     assert near.data_files is None
@@ -75,10 +78,7 @@ def test_a_method_is_imported_when_a_field_is_used_that_the_index_lacks(package:
     assert near.build(near.options(reach_px=5)) == 5
     assert f"{package.name}.near" in sys.modules
     assert f"{package.name}.far" not in sys.modules
-
-
-def test_an_indexed_method_with_other_fields_is_a_method_of_these(package: Path) -> None:
-    far = dataclasses.replace(indexed(package)["far"], gives={"right"})
+    far = dataclasses.replace(methods["far"], gives={"right"})
     assert (far.name, far.gives, far.build(far.options())) == ("far", {"right"}, 3)
 
 
@@ -105,9 +105,3 @@ def test_a_module_that_cannot_be_imported_costs_its_own_method(package: Path, fa
     ):
         _ = methods["near"].options
     assert methods["far"].options().reach_px == 3  # type: ignore[attr-defined]
-
-
-def test_an_index_has_a_line_for_each_method(package: Path) -> None:
-    lines = index_text(package.name).splitlines()
-    assert len(lines) == 4
-    assert json.loads("".join(lines)).keys() == {"near", "far:method"}

@@ -8,11 +8,9 @@ import p2o
 import pytest
 from p2o import Kind
 from p2o.cli.run import command
-from p2o.frames.frame import Frame
 from p2o.host import hookspecs, method
-from p2o.host.slots import KIND_OF, METHOD_WORDS, SLOT_OF, SLOTS, STAGE_OF, STAGED_WORDS, STAGES, Slot
+from p2o.host.slots import METHOD_WORDS, SLOT_OF, SLOTS, Slot
 from p2o_study.study import Product, RowTable, Words
-from p2o_testing import stage
 
 
 def test_every_kind_has_one_slot_and_one_stage() -> None:
@@ -20,19 +18,6 @@ def test_every_kind_has_one_slot_and_one_stage() -> None:
     assert len({slot.stage for slot in SLOTS}) == len(SLOTS)
     assert all(hasattr(hookspecs, slot.hook) for slot in SLOTS)
     assert method.Kind is p2o.Kind is Kind
-
-
-def test_stages_are_those_of_a_recipe_and_the_pipeline() -> None:
-    words = "data extractor cloud matcher solver init calibrator accumulate pipeline"
-    assert tuple(words.split()) == STAGES
-    assert KIND_OF["init"] is Kind.INITIALIZER
-    assert STAGE_OF[Kind.CLOUD_EXTRACTOR] == "cloud"
-    assert Kind.EXPORTER not in STAGE_OF
-
-
-def test_words_stand_once_though_two_slots_share_one() -> None:
-    assert STAGED_WORDS == ("extractor", "matcher", "solver", "init")
-    assert (*STAGED_WORDS, "calibrator") == METHOD_WORDS
 
 
 @pytest.mark.parametrize("slot", [slot for slot in SLOTS if slot.in_recipe], ids=lambda slot: slot.stage)
@@ -48,20 +33,10 @@ def test_study_files_and_stored_rows_take_the_word_of_each_slot(word: str) -> No
         assert word in table.model_fields
 
 
-def test_extractors_look_at_parts_of_a_frame() -> None:
-    sensors = {slot.stage: slot.sensor for slot in SLOTS if slot.sensor}
-    assert sensors == {"extractor": "image", "cloud": "cloud"}
-    assert all(isinstance(getattr(stage.frame(), part), getattr(p2o, part.title())) for part in sensors.values())
-    assert set(sensors.values()) <= set(Frame.__dataclass_fields__)
-
-
-def test_an_extractor_is_written_beside_the_other_one() -> None:
+def test_an_extractor_is_written_beside_the_other_one_and_an_option_in_the_words_of_its_slot() -> None:
     others = {"extractor": "stereo", "cloud": "rings", "matcher": "ogm"}
     assert SLOT_OF[Kind.IMAGE_EXTRACTOR].spec("canny", others) == "canny/rings"
     assert SLOT_OF[Kind.CLOUD_EXTRACTOR].spec("depth", others) == "stereo/depth"
     assert SLOT_OF[Kind.MATCHER].spec("nearest", others) == "nearest"
-
-
-def test_an_option_is_set_in_the_words_of_its_slot() -> None:
     assert SLOT_OF[Kind.CLOUD_EXTRACTOR].setting("rings", "min_gap_m", "0.5") == "--set cloud.min_gap_m=0.5"
     assert SLOT_OF[Kind.EXPORTER].setting("kitti", "layout", "raw") == "--export kitti:PATH?layout=raw"

@@ -37,9 +37,6 @@ def test_a_package_adds_weights_with_its_licence_and_is_not_imported(package: Pa
         weights_of("net", "acne", shipped)
     with pytest.raises(UnknownNameError, match="unknown weights 'acme'"):
         weights_of("another", "acme")
-
-
-def test_a_file_has_the_terms_of_its_training_data(tmp_path: Path) -> None:
     path = tmp_path / "own.safetensors"
     path.touch()
     weights = weights_of("net", str(path))

@@ -34,13 +34,17 @@ def _has(path: Path, letter: str) -> bool:
     return bool((np.abs(rgb - COLOURS[letter]).max(axis=2) <= 2).sum() > 200)
 
 
-def test_matches_are_drawn_in_the_colours_of_their_directions(tmp_path: Path) -> None:
+def test_matches_are_drawn_in_the_colours_of_their_directions_by_the_same_bytes(tmp_path: Path) -> None:
     path = tmp_path / "convergence.png"
     nan = float("nan")
-    convergence(
-        _result((_round({}, nan), _round({"L": 40, "U": 80}), _round({"L": 50, "U": 90}, accepted=False))), path
-    )
+    rounds = (_round({}, nan), _round({"L": 40, "U": 80}), _round({"L": 50, "U": 90}, accepted=False))
+    convergence(_result(rounds), path)
     assert {letter: _has(path, letter) for letter in COLOURS} == {"L": True, "R": False, "U": True, "B": False}
+    for name in ("a.png", "b.png"):
+        convergence(_result((_round({"L": 4}), _round({"L": 5}))), tmp_path / name)
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    with pytest.raises(InputError, match="cannot write the file"):
+        convergence(_result(()), tmp_path / "nowhere" / "convergence.png")
 
 
 @pytest.mark.parametrize("rounds", [(), (_round({"-": 12}),)])
@@ -51,17 +55,6 @@ def test_a_result_without_rounds_or_directions_can_be_drawn(tmp_path: Path, roun
     assert not any(_has(path, letter) for letter in COLOURS)
 
 
-def test_the_same_result_gives_the_same_bytes(tmp_path: Path) -> None:
-    for name in ("a.png", "b.png"):
-        convergence(_result((_round({"L": 4}), _round({"L": 5}))), tmp_path / name)
-    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
-
-
-def test_a_missing_folder_is_an_error_of_ours(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="cannot write the file"):
-        convergence(_result(()), tmp_path / "nowhere" / "convergence.png")
-
-
 def test_costs_in_another_unit_have_a_panel_of_their_own() -> None:
     rounds = tuple(replace(_round({"L": 9}, 2.0 - i), cost=-1.0 - i) for i in range(2))
     judged = Judged("mutual-information", "bit", -0.5, -2.0)
@@ -70,8 +63,5 @@ def test_costs_in_another_unit_have_a_panel_of_their_own() -> None:
         panels += [figure_of(replace(_result(some), judged=judged)).panels, figure_of(_result(some)).panels]
     units = [[panel.y.title for panel in each] for each in panels]
     assert units == [["matches", "pixels", "bit"], ["matches", "pixels"], ["matches", "bit"], ["matches", "pixels"]]
-    assert [series.name for panel in panels[0] for series in panel.series] == [
-        "L",
-        "mean residual",
-        "mutual-information",
-    ]
+    names = [series.name for panel in panels[0] for series in panel.series]
+    assert names == ["L", "mean residual", "mutual-information"]

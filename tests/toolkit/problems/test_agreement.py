@@ -15,30 +15,22 @@ from tests.edge_scene import TRUTH
 from tests.sparse_scene import sparse_view
 
 
-def test_at_the_truth_nearly_every_edge_meets_its_own() -> None:
-    found = agreement([edge_scene.view()], TRUTH)
-    assert found.near > 0.95
-    assert found.odds_ratio > 50
-
-
-def test_the_same_view_again_is_no_further_evidence() -> None:
-    view = edge_scene.view()
-    once, again = agreement([view], TRUTH), agreement([view] * 5, TRUTH)
+def test_views_of_other_places_are_further_evidence_and_the_same_view_again_is_none() -> None:
+    views = [edge_scene.view(seed=seed) for seed in range(4)]
+    once, again = agreement(views[:1], TRUTH), agreement(views[:1] * 5, TRUTH)
     assert again.odds_ratio == pytest.approx(once.odds_ratio)
     assert again.strength == pytest.approx(once.strength, rel=0.01)
-
-
-def test_views_of_other_places_are_further_evidence() -> None:
-    views = [edge_scene.view(seed=seed) for seed in range(4)]
     alone = float(np.mean([agreement([view], TRUTH).strength for view in views]))
     assert agreement(views, TRUTH).strength == pytest.approx(2.0 * alone, rel=0.15)
 
 
-def test_the_odds_fall_with_the_error_of_the_pose() -> None:
+def test_at_the_truth_nearly_every_edge_meets_its_own_and_the_odds_fall_with_the_error_of_the_pose() -> None:
     view = edge_scene.view()
     turned = [se3.exp(np.array([a, a, 0.0, 0, 0, 0])) @ TRUTH for a in (0.0, 0.005, 0.01)]
-    odds = [agreement([view], pose).odds_ratio for pose in turned]
-    assert odds[0] > odds[1] > odds[2]
+    found = [agreement([view], pose) for pose in turned]
+    assert found[0].near > 0.95
+    assert found[0].odds_ratio > max(50, found[1].odds_ratio)
+    assert found[1].odds_ratio > found[2].odds_ratio
 
 
 def test_the_direction_whose_edges_do_not_correspond_is_named() -> None:
@@ -54,19 +46,21 @@ def test_the_direction_whose_edges_do_not_correspond_is_named() -> None:
     assert wrong.least_odds < 2
     assert wrong.least_side == "U"
     assert wrong.odds_ratio > 5
-
-
-def test_a_direction_with_few_edges_is_not_judged_alone() -> None:
-    view = edge_scene.view()
+    # A direction with few edges is not judged alone.
     few = view.cloud_edges.select(np.flatnonzero(view.cloud_edges.side == Side.UPPER)[:40])
     assert agreement([replace(view, cloud=CloudFeatures(few))], TRUTH).least_odds is None
 
 
-def test_the_edges_of_another_place_meet_by_chance_only() -> None:
+def test_the_edges_and_intervals_of_another_place_meet_by_chance_and_without_points_there_is_no_answer() -> None:
     here, there = edge_scene.view(seed=0), edge_scene.view(seed=1)
-    mixed = replace(here, cloud=there.cloud)
-    found = agreement([mixed], TRUTH)
-    assert 0.4 < found.odds_ratio < 2.5
+    assert 0.4 < agreement([replace(here, cloud=there.cloud)], TRUTH).odds_ratio < 2.5
+    here, there = sparse_view(0), sparse_view(1)
+    assert 0.4 < interval_agreement([replace(here, cloud=there.cloud)], TRUTH).odds_ratio < 2.5
+    view = View("empty", edge_scene.PINHOLE, ImageFeatures(ImageEdges.empty()), CloudFeatures(CloudEdges.empty()))
+    assert np.isnan(agreement([view], TRUTH).odds_ratio)
+    assert Agreement(1.0, 0.5, 10).odds_ratio > 1e5
+    behind = se3.make(translation=[0, 0, -1000.0]) @ TRUTH
+    assert interval_agreement([sparse_view(0)], behind).points == 0
 
 
 def test_points_scattered_at_random_have_an_odds_ratio_of_one() -> None:
@@ -79,12 +73,6 @@ def test_points_scattered_at_random_have_an_odds_ratio_of_one() -> None:
     # The standard error of a share of about 0.3 over 20,000 points is 0.3 %.
     assert found.near == pytest.approx(found.chance, abs=0.015)
     assert found.odds_ratio == pytest.approx(1.0, abs=0.08)
-
-
-def test_without_points_there_is_no_answer() -> None:
-    view = View("empty", edge_scene.PINHOLE, ImageFeatures(ImageEdges.empty()), CloudFeatures(CloudEdges.empty()))
-    assert np.isnan(agreement([view], TRUTH).odds_ratio)
-    assert Agreement(1.0, 0.5, 10).odds_ratio > 1e5
 
 
 def with_clutter(confidence: float) -> View:
@@ -100,12 +88,10 @@ def test_doubtful_edges_are_not_asked_while_there_are_sure_ones() -> None:
     clean = agreement([edge_scene.view()], TRUTH)
     assert agreement([with_clutter(0.1)], TRUTH) == clean
     assert agreement([with_clutter(0.9)], TRUTH).odds_ratio < 0.5 * clean.odds_ratio
-
-
-def test_an_extractor_that_is_never_sure_is_asked_all_the_same() -> None:
+    # An extractor that is never sure is asked all the same.
     view = edge_scene.view()
     weak = replace(view.image_edges, weight=np.full(len(view.image_edges), 0.1))
-    assert agreement([replace(view, image=ImageFeatures(weak))], TRUTH) == agreement([view], TRUTH)
+    assert agreement([replace(view, image=ImageFeatures(weak))], TRUTH) == clean
 
 
 def test_intervals_between_far_rings_agree_where_their_middles_do_not() -> None:
@@ -113,11 +99,8 @@ def test_intervals_between_far_rings_agree_where_their_middles_do_not() -> None:
     by_middle, by_interval = agreement(views, TRUTH), interval_agreement(views, TRUTH)
     assert by_interval.near > 0.95
     assert by_interval.odds_ratio > 2 * by_middle.odds_ratio
-
-
-def test_intervals_of_another_place_agree_by_chance_only() -> None:
-    here, there = sparse_view(0), sparse_view(1)
-    assert 0.4 < interval_agreement([replace(here, cloud=there.cloud)], TRUTH).odds_ratio < 2.5
+    once, again = interval_agreement(views[:1], TRUTH), interval_agreement(views[:1] * 4, TRUTH)
+    assert again.strength == pytest.approx(once.strength, rel=0.05), "the same view again is no further evidence"
 
 
 def test_intervals_at_random_have_an_odds_ratio_of_one() -> None:
@@ -129,14 +112,3 @@ def test_intervals_at_random_have_an_odds_ratio_of_one() -> None:
     found = interval_agreement([replace(view, cloud=CloudFeatures(replace(edges, background=turned)))], np.eye(4))
     assert found.near == pytest.approx(found.chance, abs=0.03)
     assert found.odds_ratio == pytest.approx(1.0, abs=0.2)
-
-
-def test_intervals_of_the_same_view_again_are_no_further_evidence() -> None:
-    view = sparse_view(0)
-    once, again = interval_agreement([view], TRUTH), interval_agreement([view] * 4, TRUTH)
-    assert again.strength == pytest.approx(once.strength, rel=0.05)
-
-
-def test_views_without_edges_in_sight_have_no_agreement() -> None:
-    behind = se3.make(translation=[0, 0, -1000.0]) @ TRUTH
-    assert interval_agreement([sparse_view(0)], behind).points == 0

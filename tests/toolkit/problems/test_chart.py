@@ -10,18 +10,12 @@ from p2o.problems.problem import left_from_chart, pose_from_chart
 from tests.edge_scene import TRUTH
 
 
-def test_zero_is_the_start() -> None:
-    assert (pose_from_chart(TRUTH, np.zeros(6)) == TRUTH).all()
-    assert (left_from_chart(np.zeros(6)) == np.eye(6)).all()
-
-
 def test_the_last_three_numbers_shift_the_camera_coordinates() -> None:
     moved = pose_from_chart(TRUTH, np.array([0, 0, 0, 1.0, 2.0, 3.0]))
     assert moved[:3, 3] - TRUTH[:3, 3] == pytest.approx([1, 2, 3])
     assert (moved[:3, :3] == TRUTH[:3, :3]).all()
-
-
-def test_many_points_of_the_chart_at_once() -> None:
+    assert (pose_from_chart(TRUTH, np.zeros(6)) == TRUTH).all()
+    assert (left_from_chart(np.zeros(6)) == np.eye(6)).all()
     deltas = np.random.default_rng(0).normal(size=(4, 6))
     assert pose_from_chart(TRUTH, deltas) == pytest.approx(np.stack([pose_from_chart(TRUTH, d) for d in deltas]))
 

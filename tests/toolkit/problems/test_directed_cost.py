@@ -34,19 +34,16 @@ def one_edge(side_image: Side, side_cloud: Side) -> View:
     return View("one", edge_scene.PINHOLE, ImageFeatures(image), CloudFeatures(cloud))
 
 
-def test_the_cost_is_the_distance_in_pixels_up_to_the_truncation() -> None:
+def test_the_cost_is_the_distance_in_pixels_to_edges_of_that_direction_up_to_the_truncation() -> None:
     cost = DirectedCost.of([one_edge(Side.LEFT, Side.LEFT)], np.eye(4), 20.0)
     shifts = np.array([0.0, 0.1, 0.2, 1.0])  # 7 px a decimetre at 10 m
     poses = np.stack([se3.make(translation=[s, 0, 0]) for s in shifts])
     np.testing.assert_allclose(cost(poses), [0, 7, 14, 20], atol=1e-3)
-
-
-def test_an_edge_of_another_direction_does_not_count() -> None:
     cost = DirectedCost.of([one_edge(Side.RIGHT, Side.LEFT)], np.eye(4), 20.0)
     assert cost.at(np.eye(4)) == pytest.approx(20.0)
 
 
-def test_a_point_outside_the_image_costs_what_a_random_place_costs() -> None:
+def test_a_point_outside_the_image_costs_what_a_random_place_costs_and_without_points_every_pose_is_infinite() -> None:
     view = one_edge(Side.LEFT, Side.LEFT)
     cost = DirectedCost.of([view], np.eye(4), 20.0)
     outside = se3.make(translation=[100.0, 0, 0])
@@ -54,17 +51,24 @@ def test_a_point_outside_the_image_costs_what_a_random_place_costs() -> None:
     random = float(cost.parts[0].maps.mean())
     # The mean is taken from every fourth cell.
     np.testing.assert_allclose(cost(np.stack([outside, behind])), random, rtol=1e-2)
+    view = View("empty", edge_scene.PINHOLE, ImageFeatures(ImageEdges.empty()), CloudFeatures(CloudEdges.empty()))
+    assert DirectedCost.of([view], np.eye(4), 20.0).at(np.eye(4)) == np.inf
 
 
-def test_the_coarse_map_agrees_with_the_fine_one() -> None:
+def test_coarse_quick_and_truncated_costs_agree_with_the_fine_smooth_one() -> None:
     view = edge_scene.view()
-    poses = np.stack([se3.exp(t) @ edge_scene.TRUTH for t in np.random.default_rng(0).normal(0, 0.02, (20, 6))])
-    fine = DirectedCost.of([view], edge_scene.TRUTH, 40.0, scale=1)(poses)
-    coarse = DirectedCost.of([view], edge_scene.TRUTH, 40.0, scale=4)(poses)
-    np.testing.assert_allclose(coarse, fine, atol=2.0)
+    poses = se3.exp(np.random.default_rng(0).normal(0, 0.02, (20, 6))) @ edge_scene.TRUTH
+
+    def cost(truncate_px: float, **options: object) -> DirectedCost:
+        return DirectedCost.of([view], edge_scene.TRUTH, truncate_px, **options)
+
+    np.testing.assert_allclose(cost(40.0, scale=4)(poses), cost(40.0, scale=1)(poses), atol=2.0)
+    # Half a cell and 2 % of 20 px.
+    np.testing.assert_allclose(cost(20.0, smooth=False)(poses), cost(20.0, smooth=True)(poses), atol=0.9)
+    np.testing.assert_allclose(cost(40.0).truncated(10.0)(poses), cost(10.0)(poses), rtol=1e-3)
 
 
-def test_weights_count_and_views_add_up() -> None:
+def test_weights_count_views_add_up_and_of_many_views_an_even_subset_is_kept() -> None:
     view = edge_scene.view()
     edges = view.cloud_edges
     doubled = replace(view, cloud=CloudFeatures(replace(edges, weight=np.full(len(edges), 2.0))))
@@ -72,41 +76,12 @@ def test_weights_count_and_views_add_up() -> None:
     single = DirectedCost.of([view], edge_scene.TRUTH, 20.0).at(pose)
     assert DirectedCost.of([doubled], edge_scene.TRUTH, 20.0).at(pose) == pytest.approx(single, rel=1e-5)
     assert DirectedCost.of([view, doubled], edge_scene.TRUTH, 20.0).at(pose) == pytest.approx(single, rel=1e-5)
-
-
-def test_without_points_every_pose_is_infinitely_bad() -> None:
-    view = View("empty", edge_scene.PINHOLE, ImageFeatures(ImageEdges.empty()), CloudFeatures(CloudEdges.empty()))
-    assert DirectedCost.of([view], np.eye(4), 20.0).at(np.eye(4)) == np.inf
-
-
-def test_a_cost_cut_off_earlier_is_that_of_maps_cut_off_earlier() -> None:
-    view = edge_scene.view()
-    poses = np.stack([se3.exp(t) @ edge_scene.TRUTH for t in np.random.default_rng(0).normal(0, 0.02, (20, 6))])
-    wide = DirectedCost.of([view], edge_scene.TRUTH, 40.0)
-    np.testing.assert_allclose(
-        wide.truncated(10.0)(poses), DirectedCost.of([view], edge_scene.TRUTH, 10.0)(poses), rtol=1e-3
-    )
-
-
-def test_the_quick_cost_agrees_with_the_smooth_one() -> None:
-    view = edge_scene.view()
-    poses = np.stack([se3.exp(t) @ edge_scene.TRUTH for t in np.random.default_rng(0).normal(0, 0.02, (20, 6))])
-    smooth, quick = (DirectedCost.of([view], edge_scene.TRUTH, 20.0, smooth=s)(poses) for s in (True, False))
-    # Half a cell and 2 % of 20 px.
-    np.testing.assert_allclose(quick, smooth, atol=0.9)
-
-
-def test_points_with_a_large_variance_count_less() -> None:
-    view = edge_scene.view()
-    edges = view.cloud_edges
-    far_off = np.arange(len(edges)) % 2 == 0
-    moved = np.where(far_off[:, None], edges.xyz + [0.0, 1.0, 1.0], edges.xyz)
-    certain, unsure = (
-        replace(view, cloud=CloudFeatures(replace(edges, xyz=moved, sigma_m=np.where(far_off, sigma, 0.0))))
-        for sigma in (0.0, 1.0)
-    )
-    costs = [DirectedCost.of([v], edge_scene.TRUTH, 20.0).at(edge_scene.TRUTH) for v in (certain, unsure)]
-    assert costs[1] < 0.5 * costs[0]
+    views = [one_edge(Side.LEFT, Side.LEFT)] * 3 + [one_edge(Side.RIGHT, Side.LEFT)] * 5
+    cost = DirectedCost.of(views, np.eye(4), 20.0, max_views=4)
+    assert [part.view for part in cost.parts] == [0, 2, 4, 6]
+    assert cost.at(np.eye(4)) == pytest.approx(10.0)  # two of the four meet their edge
+    everything = DirectedCost.of(views, np.eye(4), 20.0, max_views=8)
+    assert everything.at(np.eye(4)) == DirectedCost.of(views, np.eye(4), 20.0).at(np.eye(4))
 
 
 @pytest.mark.parametrize("distance_m", [5.0, 20.0])
@@ -126,25 +101,13 @@ def test_exact_maps_are_the_same_bytes_wherever_they_lie_in_memory_and_on_any_nu
     view = edge_scene.view()
     before, found, others = cv2.getNumThreads(), set(), []
     try:
-        for turn in range(30):
+        for turn in range(12):
             cv2.setNumThreads(1 + turn % 2)
             others.append(np.empty(1000 * turn + 16 * turn))
             found.add(distance_maps(view, [Side.LEFT], 100.0, 1).tobytes())
     finally:
         cv2.setNumThreads(before)
     assert len(found) == 1
-
-
-def test_without_levels_confidence_does_not_count() -> None:
-    view = one_edge(Side.LEFT, Side.LEFT)
-    edges = view.image_edges
-    poses = np.stack([se3.make(translation=[s, 0, 0]) for s in (0.0, 0.1, 0.2)])
-    sure = DirectedCost.of([view], np.eye(4), 20.0)(poses)
-    for weight in (0.01, 1.0):
-        image = ImageFeatures(replace(edges, weight=np.full(len(edges), weight)))
-        plain = distance_maps(replace(view, image=image), [Side.LEFT], 20.0, 1)
-        np.testing.assert_array_equal(plain, distance_maps(view, [Side.LEFT], 20.0, 1))
-    np.testing.assert_allclose(sure, [0, 7, 14], atol=1e-3)
 
 
 @pytest.mark.parametrize("confidence", [0.1, 0.4, 0.9])
@@ -157,18 +120,20 @@ def test_an_edge_counts_at_every_level_below_its_confidence(confidence: float) -
     assert cost == pytest.approx(20.0 * missed, abs=1e-3)
 
 
-def test_a_sure_edge_outweighs_a_doubtful_one_that_lies_nearer() -> None:
+def test_a_sure_edge_outweighs_a_doubtful_one_that_lies_nearer_where_there_are_levels_of_confidence() -> None:
     near, far = np.full((50, 2), 600.0), np.full((50, 2), 610.0)
     near[:, 1] = far[:, 1] = np.arange(150, 200)
     both = ImageEdges(np.concatenate([near, far]), np.full(100, Side.LEFT), np.repeat([0.1, 0.9], 50))
-    maps = distance_maps(
-        replace(one_edge(Side.LEFT, Side.LEFT), image=ImageFeatures(both)),
-        [Side.LEFT],
-        20.0,
-        1,
-        confidences=CONFIDENCES,
-    )
+    view = replace(one_edge(Side.LEFT, Side.LEFT), image=ImageFeatures(both))
+    maps = distance_maps(view, [Side.LEFT], 20.0, 1, confidences=CONFIDENCES)
     assert maps[0, 175, 610] < maps[0, 175, 600]
+    # Without levels confidence does not count.
+    view = one_edge(Side.LEFT, Side.LEFT)
+    edges = view.image_edges
+    for weight in (0.01, 1.0):
+        image = ImageFeatures(replace(edges, weight=np.full(len(edges), weight)))
+        plain = distance_maps(replace(view, image=image), [Side.LEFT], 20.0, 1)
+        np.testing.assert_array_equal(plain, distance_maps(view, [Side.LEFT], 20.0, 1))
 
 
 @pytest.mark.parametrize(("truncate_px", "scale"), [(5.0, 1), (4.3, 1), (20.0, 4), (12.0, 2)])
@@ -186,15 +151,6 @@ def test_few_edges_and_many_have_the_distances_of_a_brute_force_search(truncate_
         asked = rng.integers(0, [found.shape[1], found.shape[0]], (300, 2))
         nearest = np.linalg.norm(asked[:, None] - cells[None], axis=2).min(axis=1) * scale
         assert found[asked[:, 1], asked[:, 0]] == pytest.approx(np.minimum(nearest, truncate_px), abs=1e-5)
-
-
-def test_of_many_views_an_even_subset_is_kept_with_the_numbers_of_its_views() -> None:
-    views = [one_edge(Side.LEFT, Side.LEFT)] * 3 + [one_edge(Side.RIGHT, Side.LEFT)] * 5
-    cost = DirectedCost.of(views, np.eye(4), 20.0, max_views=4)
-    assert [part.view for part in cost.parts] == [0, 2, 4, 6]
-    assert cost.at(np.eye(4)) == pytest.approx(10.0)  # two of the four meet their edge
-    everything = DirectedCost.of(views, np.eye(4), 20.0, max_views=8)
-    assert everything.at(np.eye(4)) == DirectedCost.of(views, np.eye(4), 20.0).at(np.eye(4))
 
 
 def test_costs_of_the_same_image_edges_share_their_maps_while_one_of_them_lives() -> None:

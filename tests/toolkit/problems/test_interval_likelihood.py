@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from p2o import Camera, CloudEdges, CloudFeatures, ImageEdges, ImageFeatures, Side, View, pose_error, se3
-from p2o.problems.interval_likelihood import IntervalLikelihood, integral_of_edges, ring_step_deg
+from p2o.problems.interval_likelihood import IntervalLikelihood, ring_step_deg
 from scipy.stats import norm
 
 from tests import edge_scene
@@ -51,31 +51,25 @@ def test_the_likelihood_is_flat_while_the_edge_is_inside_the_interval_and_falls_
     assert values[0] == pytest.approx(np.log(1 - share), abs=1e-3)
 
 
-def test_an_interval_without_length_has_the_likelihood_of_a_point() -> None:
+def test_an_interval_without_length_has_the_likelihood_of_a_point_and_only_edges_of_the_same_side_count() -> None:
     likelihood = IntervalLikelihood.of([one_interval(Side.UPPER, 0.0)], np.eye(4), SIGMA_PX)
     share, shifts = likelihood.shares[Side.UPPER], np.linspace(-6, 6, 7)
     density = norm.pdf(shifts, scale=SIGMA_PX) / EXPECTED
     # The integral is linear between pixels, which makes the error wider by a few percent.
     np.testing.assert_allclose(likelihood(shifted(Side.UPPER, shifts)), np.log(1 - share + share * density), atol=0.12)
-
-
-def test_only_image_edges_of_the_same_side_count() -> None:
     view = one_interval(Side.UPPER, 20.0)
     other = replace(view.image_edges, side=np.full(len(view.image_edges), Side.BOTTOM, np.int8))
-    view = replace(view, image=ImageFeatures(other))
-    likelihood = IntervalLikelihood.of([view], np.eye(4), SIGMA_PX)
-    assert likelihood.points == 0
-    assert likelihood(np.eye(4)[None]) == [0.0]
+    for edges in (other, ImageEdges.empty()):
+        likelihood = IntervalLikelihood.of([replace(view, image=ImageFeatures(edges))], np.eye(4), SIGMA_PX)
+        assert likelihood.points == 0
+        assert likelihood(np.eye(4)[None]) == [0.0]
 
 
-def test_intervals_outside_of_the_image_count_as_randomly_aligned() -> None:
+def test_intervals_outside_of_the_image_or_among_edges_everywhere_count_as_randomly_aligned() -> None:
     likelihood = IntervalLikelihood.of([one_interval(Side.UPPER, 20.0)], np.eye(4), SIGMA_PX)
     sideways, behind = se3.make(translation=[100.0, 0, 0]), se3.make(translation=[0, 0, -30.0])
     above = shifted(Side.UPPER, np.array([240.0]))[0]
     np.testing.assert_allclose(likelihood(np.stack([sideways, behind, above])), 0.0, atol=1e-9)
-
-
-def test_image_edges_everywhere_are_worth_nothing() -> None:
     rows, columns = np.mgrid[: SIZE[1], : SIZE[0]]
     uv = np.column_stack([columns.ravel(), rows.ravel()]).astype(float)
     view = replace(one_interval(Side.UPPER, 20.0), image=ImageFeatures(ImageEdges(uv, np.full(len(uv), Side.UPPER))))
@@ -83,18 +77,16 @@ def test_image_edges_everywhere_are_worth_nothing() -> None:
     np.testing.assert_allclose(likelihood(shifted(Side.UPPER, np.arange(-50.0, 50, 10))), 0.0, atol=2e-3)
 
 
-def test_edges_of_one_outline_count_as_the_root_of_their_number() -> None:
+def test_edges_of_one_outline_count_as_the_root_of_their_number_and_moved_views_as_much_at_the_moved_pose() -> None:
     view = one_interval(Side.UPPER, 20.0)
     nine = replace(view, cloud=CloudFeatures(view.cloud_edges.select(np.zeros(9, int))))
     one, all_of_them = (IntervalLikelihood.of([its], np.eye(4), SIGMA_PX)(np.eye(4)[None]) for its in (view, nine))
     np.testing.assert_allclose(all_of_them, 3 * one)
-
-
-def test_the_integral_of_an_image_without_edges_is_zero() -> None:
-    view = replace(one_interval(Side.LEFT, 5.0), image=ImageFeatures(ImageEdges.empty()))
-    integral = integral_of_edges(view, Side.LEFT, SIGMA_PX)
-    assert integral.shape == SIZE  # transposed: it integrates along rows
-    assert not integral.any()
+    views = [sparse_view(0)]
+    likelihood = IntervalLikelihood.of(views, TRUTH, SIGMA_PX)
+    step = se3.exp(np.array([0.01, 0, 0, 0.1, 0, 0]))
+    moved = likelihood.on([views[0].moved(step)])
+    np.testing.assert_allclose(moved((TRUTH @ se3.inverse(step))[None]), likelihood(TRUTH[None]), rtol=1e-5)
 
 
 @pytest.mark.parametrize("camera", [edge_scene.PINHOLE, edge_scene.FISHEYE], ids=lambda c: c.model)
@@ -146,11 +138,3 @@ def test_shares_fall_with_the_part_of_edges_that_have_a_counterpart() -> None:
     for side in DIRECTION:
         assert right[side] > 0.8
         assert 0.2 < half[side] < 0.7 * right[side]
-
-
-def test_moved_views_have_the_likelihood_at_the_moved_pose() -> None:
-    views = [sparse_view(0)]
-    likelihood = IntervalLikelihood.of(views, TRUTH, SIGMA_PX)
-    step = se3.exp(np.array([0.01, 0, 0, 0.1, 0, 0]))
-    moved = likelihood.on([views[0].moved(step)])
-    np.testing.assert_allclose(moved((TRUTH @ se3.inverse(step))[None]), likelihood(TRUTH[None]), rtol=1e-5)

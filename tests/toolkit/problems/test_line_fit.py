@@ -22,39 +22,29 @@ def test_a_straight_row_gives_its_middle_and_its_normal(angle_deg: float) -> Non
     assert lines.across[0] == pytest.approx(0, abs=1e-12)
 
 
-def test_the_closed_form_is_the_eigenvector_of_least_spread() -> None:
+def test_the_closed_form_is_the_eigenvector_of_least_spread_and_of_nothing_nothing() -> None:
     points = np.random.default_rng(0).normal(size=(200, 8, 2)) * [3.0, 1.0] @ [[0.8, 0.6], [-0.6, 0.8]]
     lines = fit_lines(points)
     offset = points - points.mean(axis=1, keepdims=True)
     values, vectors = np.linalg.eigh(np.einsum("kni,knj->kij", offset, offset) / 8)
     assert np.abs(np.einsum("ki,ki->k", vectors[:, :, 0], lines.normal)) == pytest.approx(1)
     assert np.column_stack([lines.across, lines.along]) == pytest.approx(values)
+    lines = fit_lines(np.zeros((0, 8, 2)))
+    assert lines.centre.shape == lines.normal.shape == (0, 2)
+    assert len(straight(lines, 10.0)) == len(faces(lines, np.zeros((0, 2)), 50.0, 2.0)) == 0
 
 
-def test_the_order_of_the_points_does_not_matter() -> None:
-    points = np.random.default_rng(1).normal(size=(1, 8, 2))
-    a, b = fit_lines(points), fit_lines(points[:, ::-1])
-    assert a.centre == pytest.approx(b.centre)
-    assert np.abs((a.normal * b.normal).sum()) == pytest.approx(1)
-
-
-def test_a_block_two_pixels_wide_has_a_ratio_of_five() -> None:
+def test_a_block_two_pixels_wide_has_a_ratio_of_five_a_corner_is_no_line_and_a_gentle_bend_is() -> None:
     lines = one([(u, v) for u in range(2) for v in range(4)])  # variances 15/12 and 3/12
     assert straight(lines, 4.999).tolist() == [True]
     assert straight(lines, 5.001).tolist() == [False]
-
-
-def test_a_right_angled_corner_is_no_line_and_a_gentle_bend_is() -> None:
     corner = one([(t, 0) for t in range(4)] + [(0, t) for t in range(1, 5)])
     arc = one([(50 * np.sin(t / 50), 50 * np.cos(t / 50)) for t in range(8)])
     assert straight(corner, 10.0).tolist() == [False]
     assert straight(arc, 10.0).tolist() == [True]
-
-
-def test_equal_points_are_no_line() -> None:
-    lines = one([(3.0, 4.0)] * 8)
-    assert np.isfinite(lines.normal).all()
-    assert straight(lines, 1.0).tolist() == [False]
+    equal = one([(3.0, 4.0)] * 8)
+    assert np.isfinite(equal.normal).all()
+    assert straight(equal, 1.0).tolist() == [False]
 
 
 @pytest.mark.parametrize("sign", [-1, 1])
@@ -66,9 +56,3 @@ def test_the_angle_gate_opens_at_its_limit_on_both_sides_of_the_line(sign: int) 
     assert faces(lines, uv, 50.0, free_px=0.0).tolist() == [True, True, False, False]
     assert faces(lines, uv, 90.0, free_px=0.0).all()
     assert faces(lines, uv, 50.0, free_px=10.5).all()
-
-
-def test_nothing_gives_nothing() -> None:
-    lines = fit_lines(np.zeros((0, 8, 2)))
-    assert lines.centre.shape == lines.normal.shape == (0, 2)
-    assert len(straight(lines, 10.0)) == len(faces(lines, np.zeros((0, 2)), 50.0, 2.0)) == 0

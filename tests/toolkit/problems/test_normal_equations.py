@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from p2o import se3
-from p2o.problems.normal_equations import AXES, covariance, linearise, normal_equations
+from p2o.problems.normal_equations import AXES, covariance, linearise, normal_equations, why_singular
 from p2o_plugins.solve import lm
 
 from tests.edge_scene import TRUTH
@@ -19,17 +19,17 @@ SOLVE = lm.METHOD.build(lm.LmOptions())
 @pytest.mark.parametrize("outliers", [0.0, 0.15])
 def test_the_covariance_foretells_the_scatter_of_repeated_solutions(outliers: float) -> None:
     squares = []
-    for seed in range(60):
+    for seed in range(40):
         problem = pairs(seed, noise_px=0.7, outliers=outliers)
         problem = replace(problem, weight=np.ones(len(problem)))
         solution = SOLVE(problem, NEAR)
         error = se3.log(TRUTH @ se3.inverse(solution.camera_from_lidar))
         squares.append(error @ np.linalg.solve(solution.covariance, error))
-    # Squared errors in units of the covariance follow chi-square of 6; the mean of 60 has a deviation of 0.45.
-    assert np.mean(squares) == pytest.approx(6.0, abs=1.4)
+    # Squared errors in units of the covariance follow chi-square of 6; the mean of 40 has a deviation of 0.55.
+    assert np.mean(squares) == pytest.approx(6.0, abs=1.6)
 
 
-def test_half_the_noise_gives_half_the_deviations() -> None:
+def test_half_the_noise_gives_half_the_deviations_and_residuals_beyond_an_image_are_constant() -> None:
     one = pairs(noise_px=0.4)
     wide = replace(one, huber_px=100.0)  # no residual reaches the kernel, so everything scales
     # A scaled shift of every line: the residuals at the truth are halved exactly.
@@ -37,24 +37,6 @@ def test_half_the_noise_gives_half_the_deviations() -> None:
     half = replace(wide, centre=shifted)
     full, less = (covariance(p, *linearise(p, TRUTH)) for p in (wide, half))
     assert np.sqrt(np.diag(less)) == pytest.approx(0.5 * np.sqrt(np.diag(full)), rel=1e-9)
-
-
-def test_the_gradient_is_the_derivative_of_the_cost() -> None:
-    problem, step = pairs(noise_px=1.0, outliers=0.3), 1e-6
-    for newton in (False, True):
-        _, gradient = normal_equations(problem, *linearise(problem, NEAR), newton=newton)
-        change = problem.cost(se3.exp(step * np.eye(6)) @ NEAR) - problem.cost(se3.exp(-step * np.eye(6)) @ NEAR)
-        assert gradient == pytest.approx(change / (2 * step), rel=1e-4)
-
-
-def test_both_hessians_agree_where_no_pair_lies_beyond_the_kernel() -> None:
-    problem = pairs()
-    rows = linearise(problem, TRUTH)
-    bounding, exact = (normal_equations(problem, *rows, newton=newton)[0] for newton in (False, True))
-    assert bounding == pytest.approx(exact, rel=1e-12)
-
-
-def test_residuals_beyond_an_image_are_constant() -> None:
     problem = pairs(count=5)
     problem = replace(problem, centre=problem.centre + 5000.0 * problem.normal)
     residuals, jacobian = linearise(problem, TRUTH)
@@ -62,10 +44,20 @@ def test_residuals_beyond_an_image_are_constant() -> None:
     assert not jacobian.any()
 
 
+def test_the_gradient_is_the_derivative_of_the_cost_and_both_hessians_agree_within_the_kernel() -> None:
+    problem, step = pairs(noise_px=1.0, outliers=0.3), 1e-6
+    for newton in (False, True):
+        _, gradient = normal_equations(problem, *linearise(problem, NEAR), newton=newton)
+        change = problem.cost(se3.exp(step * np.eye(6)) @ NEAR) - problem.cost(se3.exp(-step * np.eye(6)) @ NEAR)
+        assert gradient == pytest.approx(change / (2 * step), rel=1e-4)
+    problem = pairs()
+    rows = linearise(problem, TRUTH)
+    bounding, exact = (normal_equations(problem, *rows, newton=newton)[0] for newton in (False, True))
+    assert bounding == pytest.approx(exact, rel=1e-12)
+
+
 @pytest.mark.parametrize("axis", range(6))
 def test_a_direction_without_effect_is_named(axis: int) -> None:
-    from p2o.problems.normal_equations import why_singular
-
     problem = pairs()
     residuals, jacobian = linearise(problem, TRUTH)
     jacobian[:, axis] = 0.0
@@ -74,8 +66,6 @@ def test_a_direction_without_effect_is_named(axis: int) -> None:
 
 
 def test_two_unknowns_that_undo_each_other_are_named_together() -> None:
-    from p2o.problems.normal_equations import why_singular
-
     problem = pairs()
     residuals, jacobian = linearise(problem, TRUTH)
     depth = se3.apply(TRUTH, problem.xyz)[:, 2].mean()

@@ -17,31 +17,22 @@ cameras = pytest.mark.parametrize("cameras", CAMERAS.values(), ids=CAMERAS.keys(
 
 def one_pair(**changes: object) -> PointToLine:
     """A point 10 m ahead of an identity pose; fx 700 puts it on (600, 180); a vertical line 3 px to its left."""
-    values = {
-        "xyz": [[0.0, 0.0, 10.0]],
-        "centre": [[597.0, 50.0]],
-        "normal": [[1.0, 0.0]],
-        "weight": [2.0],
-        "side": [0],
-        "frame": [0],
-        "cameras": (PINHOLE,),
-    }
+    values = {"xyz": [[0.0, 0.0, 10.0]], "centre": [[597.0, 50.0]], "normal": [[1.0, 0.0]]}
+    values |= {"weight": [2.0], "side": [0], "frame": [0], "cameras": (PINHOLE,)}
     return PointToLine(**{**values, **changes})  # type: ignore[arg-type]
 
 
-def test_the_residual_is_the_signed_distance_to_the_line() -> None:
+def test_the_residual_is_the_signed_distance_to_the_line_and_the_cost_quadratic_within_the_kernel() -> None:
     assert one_pair().residuals(np.eye(4)) == pytest.approx([3.0])
     sideways = se3.make(translation=[0.1, 5.0, 0.0])  # 0.1 m at 10 m are 7 px; along the line nothing changes
     assert one_pair().residuals(sideways) == pytest.approx([10.0])
-
-
-@cameras
-def test_residuals_vanish_at_the_truth(cameras: tuple[Camera, ...]) -> None:
-    assert np.abs(pairs(cameras=cameras).residuals(TRUTH)).max() < 1e-9
+    assert one_pair(huber_px=5.0).cost(np.eye(4)[None]) == pytest.approx([2 * 9 / 2])
+    assert one_pair(huber_px=1.0).cost(np.eye(4)[None]) == pytest.approx([2 * (3 - 0.5)])
 
 
 @cameras
 def test_the_jacobian_is_the_derivative_of_the_residuals_by_a_left_update(cameras: tuple[Camera, ...]) -> None:
+    assert np.abs(pairs(cameras=cameras).residuals(TRUTH)).max() < 1e-9
     problem, step = pairs(cameras=cameras, noise_px=2.0), 1e-6
     residuals, jacobian = problem.residuals_with_jacobian(NEAR)
     assert residuals == pytest.approx(problem.residuals(NEAR), abs=1e-9)
@@ -57,18 +48,6 @@ def test_many_poses_at_once_cost_what_they_cost_one_by_one(cameras: tuple[Camera
     singly = [problem.cost(pose[None])[0] for pose in poses]
     assert problem.cost(poses) == pytest.approx(singly, rel=1e-12)
     assert problem.residuals(poses)[3] == pytest.approx(problem.residuals(poses[3]), abs=1e-9)
-
-
-def test_more_poses_than_fit_at_once_are_evaluated_in_parts() -> None:
-    problem = pairs(count=600)
-    poses = TRUTH @ se3.exp(0.01 * np.random.default_rng(2).normal(size=(500, 6)))
-    assert problem.cost(poses)[[0, 250, 499]] == pytest.approx(problem.cost(poses[[0, 250, 499]]), rel=1e-12)
-    assert problem.cost(np.zeros((0, 4, 4))).shape == (0,)
-
-
-def test_the_cost_is_quadratic_within_the_kernel_and_linear_beyond() -> None:
-    assert one_pair(huber_px=5.0).cost(np.eye(4)[None]) == pytest.approx([2 * 9 / 2])
-    assert one_pair(huber_px=1.0).cost(np.eye(4)[None]) == pytest.approx([2 * (3 - 0.5)])
 
 
 def test_a_point_behind_the_camera_costs_as_much_as_one_an_image_away() -> None:
@@ -91,26 +70,20 @@ def test_points_behind_a_distorted_camera_are_unseen_too(camera: Camera) -> None
     assert problem.cost(behind[None]) == pytest.approx([problem.weight.sum() * (problem.far_px - 0.5)])
 
 
-def test_the_objective_of_pairs_is_their_cost() -> None:
-    problem = pairs(noise_px=1.0)
-    poses = np.stack([TRUTH, NEAR])
-    assert (problem.as_objective().cost(poses) == problem.cost(poses)).all()
-
-
-def test_moving_the_lidar_frame_and_the_pose_together_changes_nothing() -> None:
+def test_moving_the_lidar_frame_and_the_pose_changes_nothing_and_many_poses_are_evaluated_in_parts() -> None:
     problem, b_from_lidar = pairs(noise_px=1.0), se3.exp(np.array([0.3, -1.0, 2.0, 4.0, 5.0, -6.0]))
     moved = replace(problem, xyz=se3.apply(b_from_lidar, problem.xyz))
     assert moved.residuals(NEAR @ se3.inverse(b_from_lidar)) == pytest.approx(problem.residuals(NEAR), abs=1e-8)
-
-
-def test_the_cost_is_a_sum_over_pairs() -> None:
-    problem = pairs(noise_px=3.0)
+    problem = pairs(count=600)
+    poses = TRUTH @ se3.exp(0.01 * np.random.default_rng(2).normal(size=(500, 6)))
+    assert problem.cost(poses)[[0, 250, 499]] == pytest.approx(problem.cost(poses[[0, 250, 499]]), rel=1e-12)
+    assert problem.cost(np.zeros((0, 4, 4))).shape == (0,)
     half = np.arange(len(problem)) < len(problem) // 2
     parts = rows(problem, half).cost(NEAR[None]) + rows(problem, ~half).cost(NEAR[None])
-    assert parts == pytest.approx(problem.cost(NEAR[None]), rel=1e-12)
+    assert parts == pytest.approx(problem.cost(NEAR[None]), rel=1e-12), "a sum over pairs"
 
 
-def test_a_problem_without_pairs_costs_nothing() -> None:
+def test_a_problem_without_pairs_costs_nothing_and_arrays_cannot_be_changed() -> None:
     problem = PointToLine.empty((PINHOLE,), huber_px=2.0)
     assert len(problem) == 0
     assert problem.cost(np.stack([TRUTH, NEAR])).tolist() == [0.0, 0.0]
@@ -118,9 +91,6 @@ def test_a_problem_without_pairs_costs_nothing() -> None:
     assert residuals.shape == (0,)
     assert jacobian.shape == (0, 6)
     assert len(PointToLine.empty().residuals(TRUTH)) == 0
-
-
-def test_arrays_cannot_be_changed_after_the_fact() -> None:
     with pytest.raises(ValueError, match="read-only"):
         pairs().xyz[0] = 0.0
 

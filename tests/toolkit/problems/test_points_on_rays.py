@@ -19,24 +19,18 @@ def problem(count: int = 12, noise_px: float = 0.0, seed: int = 0) -> PointsOnRa
     return PointsOnRays(xyz, PINHOLE.rays(uv), px_per_rad(PINHOLE, uv))
 
 
-def test_points_on_their_rays_have_no_residuals() -> None:
-    assert np.abs(problem().residuals(POSE)).max() < 1e-9
-
-
-def test_residuals_of_many_poses_are_those_of_each() -> None:
+def test_points_on_rays_have_no_residuals_those_of_many_poses_are_those_of_each_and_derivatives_are_theirs() -> None:
     poses = se3.exp(np.random.default_rng(1).normal(0, 0.1, (3, 6))) @ POSE
     several = problem()
+    assert np.abs(several.residuals(POSE)).max() < 1e-9
     np.testing.assert_allclose(several.residuals(poses), [several.residuals(pose) for pose in poses], atol=1e-12)
-
-
-def test_derivatives_are_those_of_the_residuals() -> None:
     some, pose = problem(), se3.exp(np.full(6, 0.02)) @ POSE
     _, analytic = some.residuals_with_jacobian(pose)
     _, numeric = super(PointsOnRays, some).residuals_with_jacobian(pose)
     np.testing.assert_allclose(analytic, numeric, rtol=1e-5, atol=1e-4)
 
 
-def test_a_click_beside_its_place_is_so_many_pixels_off() -> None:
+def test_a_click_beside_its_place_is_so_many_pixels_off_and_a_point_behind_the_camera_never_near() -> None:
     """The geometric mean over directions: exact in the middle of the picture, a few percent beside it."""
     exact = problem()
     uv = PINHOLE.project(se3.apply(POSE, exact.xyz))
@@ -46,9 +40,6 @@ def test_a_click_beside_its_place_is_so_many_pixels_off() -> None:
         middle = np.abs(uv[:, 0] - 600) < 150
         np.testing.assert_allclose(off[middle], 2.0, rtol=0.03)
         np.testing.assert_allclose(off, 2.0, rtol=0.3)
-
-
-def test_a_point_behind_the_camera_is_never_near_its_ray() -> None:
     ahead = PointsOnRays(np.array([[0.0, 0, 5], [0, 0, -5]]), np.array([[0.0, 0, 1], [0, 0, 1]]), np.full(2, 700.0))
     off = ahead.off_px(np.eye(4))
     assert off[0] == 0
@@ -63,13 +54,10 @@ def test_the_least_squares_pose_is_a_minimum_that_no_small_step_improves() -> No
         assert float((noisy.residuals(se3.exp(step) @ best) ** 2).sum()) > cost
 
 
-def test_the_spread_of_exact_points_is_nothing() -> None:
-    exact = problem()
-    assert np.abs(spread(leave_one_out(exact, POSE), POSE)).max() < 1e-20
-
-
 def test_the_spread_is_about_the_covariance_of_the_estimate() -> None:
     """Over many draws of the noise: the mean of what is told is within a factor of two of what happens."""
+    exact = problem()
+    assert np.abs(spread(leave_one_out(exact, POSE), POSE)).max() < 1e-20
     told, happened = [], []
     for seed in range(30):
         noisy = problem(20, noise_px=1.5, seed=seed)
@@ -81,15 +69,12 @@ def test_the_spread_is_about_the_covariance_of_the_estimate() -> None:
     assert (ratio < 2.0).all()
 
 
-def test_shape_tells_lines_and_planes() -> None:
+def test_shape_tells_lines_and_planes_and_rays_that_are_not_unit_vectors_are_refused() -> None:
     rng = np.random.default_rng(0)
     along = rng.normal(size=(9, 1)) * [1.0, 2, 3]
     assert shape(along)[1] < 1e-12
     assert shape(np.c_[rng.normal(size=(9, 2)), np.ones(9)])[2] < 1e-12
     assert shape(np.array([[-1.0, 0, 0], [1, 0, 0]])) == pytest.approx([1, 0, 0])
-
-
-def test_rays_that_are_not_unit_vectors_are_refused() -> None:
     with pytest.raises(InputError, match="unit"):
         PointsOnRays(np.ones((1, 3)), np.array([[0.0, 0, 2]]), np.ones(1))
     with pytest.raises(InputError, match="finite"):

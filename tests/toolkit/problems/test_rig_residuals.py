@@ -59,6 +59,8 @@ def test_derivatives_are_by_a_left_update_in_the_body_frame() -> None:
         ends = [problem.residuals(se3.exp(sign * step * np.eye(6)[axis]) @ pose) for sign in (1, -1)]
         np.testing.assert_allclose(jacobian[:, axis], (ends[0] - ends[1]) / (2 * step), atol=1e-5)
     np.testing.assert_allclose(residuals, problem.residuals(pose[None])[0])
+    np.testing.assert_array_equal(np.unique(problem.frame), [0, 1])
+    assert (len(problem), problem.huber, len(RigResiduals(()))) == (60, 10.0, 0)
 
 
 def test_a_left_update_of_the_body_is_one_of_each_camera() -> None:
@@ -79,11 +81,3 @@ def test_the_solver_finds_the_exact_pose_that_no_camera_determines_alone() -> No
     solve = build(LmOptions())
     np.testing.assert_allclose(solve(RigResiduals(parts), start).camera_from_lidar, TRUTH, atol=1e-7)
     assert solve(RigResiduals(parts[:1]), start).status.value == "singular"
-
-
-def test_views_are_counted_over_all_cameras() -> None:
-    problem = rig()
-    assert len(problem) == 60
-    np.testing.assert_array_equal(np.unique(problem.frame), [0, 1])
-    assert problem.huber == 10.0
-    assert len(RigResiduals(())) == 0

@@ -21,11 +21,13 @@ def run(cost: Any = bowl, seed: int = 0, **more: Any) -> tuple[np.ndarray, float
     return swarmed(cost, -HALF, HALF, np.random.default_rng(seed), **words)
 
 
-def test_the_lowest_place_is_found_with_its_cost() -> None:
+def test_the_lowest_place_is_found_with_its_cost_and_a_seed_repeats_to_the_bit() -> None:
     found, least, moves = run()
     assert found == pytest.approx(AIM, abs=1e-3)
     assert least == pytest.approx(bowl(found[None])[0])
     assert moves == 80
+    assert (run()[0] == found).all()
+    assert (run(seed=2)[0] != found).any()
 
 
 def test_no_particle_leaves_the_box_and_a_corner_can_be_reached() -> None:
@@ -40,18 +42,10 @@ def test_no_particle_leaves_the_box_and_a_corner_can_be_reached() -> None:
     assert {len(places) for places in asked} == {30}
 
 
-def test_a_seed_repeats_to_the_bit_and_another_one_does_not() -> None:
-    assert (run(seed=1)[0] == run(seed=1)[0]).all()
-    assert (run(seed=1)[0] != run(seed=2)[0]).any()
-
-
-def test_a_good_first_place_is_never_lost() -> None:
+def test_a_good_first_place_is_never_lost_and_a_swarm_that_is_narrow_stops() -> None:
     found, least, _ = run(lambda places: np.where((places == AIM).all(axis=1), 0.0, 1.0), first=AIM, moves=5)
     assert (found == AIM).all()
     assert least == 0.0
-
-
-def test_a_swarm_that_is_narrow_stops() -> None:
     _, least, moves = run(moves=1000, narrow=0.01)
     assert moves < 200
     assert least < 0.01**2

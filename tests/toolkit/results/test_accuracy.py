@@ -32,13 +32,13 @@ def test_deviations_are_the_root_mean_square_errors_of_poses_that_scatter_so() -
     # The LiDAR a metre from the camera: turns about the camera move it.
     pose = np.array(TRUTH)
     pose[:3, 3] = 0.3, -0.8, 0.5
-    draws = np.random.default_rng(1).multivariate_normal(np.zeros(6), covariance(), 4000)
+    draws = np.random.default_rng(1).multivariate_normal(np.zeros(6), covariance(), 1500)
     errors = [pose_error(se3.exp(draw) @ pose, pose) for draw in draws]
     rotation, translation = (
         np.sqrt(np.mean(np.square(values)))
         for values in ([e.rotation_deg for e in errors], [e.translation_m for e in errors])
     )
-    assert deviations(covariance(), pose) == pytest.approx((rotation, translation), rel=0.03)
+    assert deviations(covariance(), pose) == pytest.approx((rotation, translation), rel=0.05)
 
 
 def met(near: float, places: int = 80) -> Agreement:
@@ -54,29 +54,38 @@ def spread(pairs: np.ndarray, beams: np.ndarray = NOTHING, rings: float = 0.0) -
 
 
 def test_better_pairs_better_beams_and_better_agreement_promise_smaller_errors() -> None:
-    usual = likely_accuracy(spread(covariance(), covariance(), 0.01), TRUTH, met(0.25))
-    surer = likely_accuracy(spread(covariance(0.25), covariance(), 0.01), TRUTH, met(0.25))
-    denser = likely_accuracy(spread(covariance(), covariance(0.25), 0.01), TRUTH, met(0.25))
-    finer = likely_accuracy(spread(covariance(), covariance(), 0.005), TRUTH, met(0.25))
-    agreed = likely_accuracy(spread(covariance(), covariance(), 0.01), TRUTH, met(0.4))
-    for better in (surer, denser, finer, agreed):
+    def likely(pairs: float = 1.0, beams: float = 1.0, rings: float = 0.01, near: float = 0.25) -> Accuracy:
+        return likely_accuracy(spread(covariance(pairs), covariance(beams), rings), TRUTH, met(near))
+
+    usual = likely()
+    for better in (likely(pairs=0.25), likely(beams=0.25), likely(rings=0.005), likely(near=0.4)):
         for name in ("rotation_deg", "translation_m", "rotation_deg_95", "translation_m_95", "yaw_deg", "z_m"):
             assert getattr(better, name) < getattr(usual, name)
 
 
-def test_errors_fall_with_the_odds_without_a_step_back() -> None:
+def test_errors_fall_with_the_odds_without_a_step_back_and_none_count_as_the_worst() -> None:
     bounds = [
         likely_accuracy(spread(covariance()), TRUTH, met(near)).rotation_deg_95 for near in np.linspace(0.01, 0.9, 50)
     ]
     assert (np.diff(bounds) <= 0).all()
+    nothing = likely_accuracy(spread(covariance()), TRUTH, Agreement(0.0, 0.0, 0))
+    worst = likely_accuracy(spread(covariance()), TRUTH, met(0.001, 1))
+    assert nothing == worst
+    assert np.isfinite(nothing.rotation_deg_95)
 
 
-def test_agreement_in_few_places_widens_all_errors_alike() -> None:
+def test_agreement_in_few_places_widens_all_errors_alike_but_those_of_intervals() -> None:
     many, few = (likely_accuracy(spread(covariance()), TRUTH, met(0.25, places)) for places in (400, 5))
     ratio = few.rotation_deg / many.rotation_deg
     assert ratio > 1.5
     for name in ("translation_m", "rotation_deg_95", "translation_m_95", "yaw_deg", "z_m"):
         assert getattr(few, name) / getattr(many, name) == pytest.approx(ratio)
+    budget = replace(spread(covariance()), intervals=True)
+    weak, strong = (likely_accuracy(budget, TRUTH, met(near, 400)) for near in (0.1, 0.5))
+    assert weak == strong
+    more = likely_accuracy(replace(spread(covariance() / 4), views=4.0, intervals=True), TRUTH, met(0.1, 400))
+    assert 0.45 < more.rotation_deg / weak.rotation_deg < 0.65
+    assert 0.45 < more.translation_m / weak.translation_m < 0.65
 
 
 def test_a_direction_that_nothing_determines_widens_its_own_axis_only() -> None:
@@ -96,20 +105,16 @@ def test_a_direction_that_nothing_determines_widens_its_own_axis_only() -> None:
                     assert getattr(found, other) == pytest.approx(getattr(usual, other))
 
 
-def by_axis(accuracy: Accuracy) -> tuple[list[float], list[float]]:
-    """The 67 % bounds by axis, of rotation in deg and translation in m."""
-    rotation = [accuracy.roll_deg, accuracy.pitch_deg, accuracy.yaw_deg]
-    return rotation, [accuracy.x_m, accuracy.y_m, accuracy.z_m]
-
-
 @pytest.mark.parametrize("model", [DEFAULT_ERROR_MODEL, INTERVAL_ERROR_MODEL])
 @pytest.mark.parametrize("part", ["pairs", "cameras", "absorbed"])
 def test_total_axes_and_covariance_state_one_predicted_error(model: ErrorModel, part: str) -> None:
     budget = replace(spread(covariance(), covariance(0.1), 0.01), **{part: covariance(4.0)})
     found = likely_accuracy(budget, TRUTH, met(0.25), model)
-    rotation, translation = by_axis(found)
+    rotation, translation = [found.roll_deg, found.pitch_deg, found.yaw_deg], [found.x_m, found.y_m, found.z_m]
     assert found.rotation_deg == pytest.approx(np.linalg.norm(rotation))
     assert found.translation_m == pytest.approx(np.linalg.norm(translation))
+    assert 0 < found.rotation_deg <= found.rotation_deg_95
+    assert 0 < found.translation_m <= found.translation_m_95
     whole = predicted_covariance(likely_covariance(budget, TRUTH, met(0.25), model), TRUTH, model)
     assert deviations(whole, TRUTH) == pytest.approx((found.rotation_deg, found.translation_m))
 
@@ -129,13 +134,6 @@ def test_what_the_pose_absorbed_of_a_wrong_camera_is_on_its_axis_and_in_the_tota
     assert after.translation_m == pytest.approx(np.hypot(before.translation_m, 0.3))
 
 
-def test_nineteen_of_twenty_lie_within_more_than_two_of_three() -> None:
-    for scale in (1e-6, 1.0, 100.0):
-        found = likely_accuracy(spread(covariance(scale)), TRUTH, met(0.2))
-        assert 0 < found.rotation_deg <= found.rotation_deg_95
-        assert 0 < found.translation_m <= found.translation_m_95
-
-
 def test_no_number_of_frames_promises_what_the_sensors_calibrations_do_not_give() -> None:
     model = DEFAULT_ERROR_MODEL
     for views in (1.0, 4.0, 1e9):
@@ -145,29 +143,6 @@ def test_no_number_of_frames_promises_what_the_sensors_calibrations_do_not_give(
         )
         assert found.rotation_deg == pytest.approx(np.sqrt(3) * turn * model.rotation[0], rel=1e-3)
         assert found.translation_m == pytest.approx(np.sqrt(3) * shift * model.translation[0], rel=1e-3)
-
-
-def test_the_error_of_intervals_does_not_depend_on_their_odds_and_falls_with_the_number_of_views() -> None:
-    budget = replace(spread(covariance()), intervals=True)
-    weak, strong = (likely_accuracy(budget, TRUTH, met(near, 400)) for near in (0.1, 0.5))
-    assert weak == strong
-    more = likely_accuracy(replace(spread(covariance() / 4), views=4.0, intervals=True), TRUTH, met(0.1, 400))
-    assert 0.45 < more.rotation_deg / weak.rotation_deg < 0.65
-    assert 0.45 < more.translation_m / weak.translation_m < 0.65
-
-
-def test_an_odds_ratio_that_is_none_counts_as_the_worst() -> None:
-    nothing = likely_accuracy(spread(covariance()), TRUTH, Agreement(0.0, 0.0, 0))
-    worst = likely_accuracy(spread(covariance()), TRUTH, met(0.001, 1))
-    assert nothing == worst
-    assert np.isfinite(nothing.rotation_deg_95)
-
-
-def test_both_parts_have_to_be_reached() -> None:
-    found = Accuracy(0.2, 0.08, 0.6, 0.2)
-    assert found.reaches(0.2, 0.08)
-    assert not found.reaches(0.19, 1.0)
-    assert not found.reaches(1.0, 0.07)
 
 
 def test_a_rival_that_fits_as_well_is_how_far_off_the_worst_may_be() -> None:

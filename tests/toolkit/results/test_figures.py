@@ -35,9 +35,7 @@ def line(label: str, **values: object) -> str:
     return dict(result_lines(result(**values)))[label]
 
 
-def test_a_figure_that_is_described_in_one_place_is_in_json_terminal_page_and_store(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_figure_is_in_json_terminal_page_and_store(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     glare = Figure("glare_px", lambda result: len(result.frames) / 8, "glare", "blinded {} of the image", "px", ".3f")
     monkeypatch.setattr(figures, "FIGURES", (*FIGURES, glare))
     calibrated = result(matches={"L": 3})
@@ -55,27 +53,16 @@ def test_a_figure_that_is_described_in_one_place_is_in_json_terminal_page_and_st
     assert ("glare", "blinded 0.125 px of the image") in figure_lines(stored.figures)
 
 
-def test_names_of_figures_are_their_own_and_no_fields_of_rows() -> None:
+def test_every_figure_has_a_name_of_its_own_and_is_worded_by_itself_or_by_another_one() -> None:
     names = [figure.name for figure in FIGURES]
     assert len(set(names)) == len(names)
-    assert not set(names) & {"predicted", *METRICS}
-
-
-def test_a_negative_difference_is_worded_without_a_sign() -> None:
-    lower = line("next best", rival=Rival(-3.04, "edges", 1.0, 0.1))
-    assert lower.endswith("cost lower by 3.0 edges")
-    assert line("next best", rival=Rival(3.04, "edges", 1.0, 0.1)).endswith("cost higher by 3.0 edges")
-    costs = line("cost", judged=Judged("directed-distance", "px", 4.0, 2.0, -0.25))
-    assert "0.25 px less at the truth" in costs
-
-
-def test_every_figure_is_worded_by_itself_or_by_another_one() -> None:
+    assert not set(names) & {"predicted", *METRICS}, "names of fields of rows"
     for figure in FIGURES:
         others = " ".join(other.text for other in FIGURES if other is not figure)
         assert figure.text or f"{{{figure.name}" in others, figure.name
 
 
-def test_an_unknown_figure_is_none_and_left_out() -> None:
+def test_an_unknown_figure_is_left_out_and_a_warning_of_several_frames_is_one_line() -> None:
     values = figure_values(result())
     assert {name for name, value in values.items() if value is not None} == {"moved_deg", "moved_m"}
     assert result_lines(result()) == [("moved", "0.000 deg, 0.000 m from the initial guess")]
@@ -83,9 +70,13 @@ def test_an_unknown_figure_is_none_and_left_out() -> None:
     assert without_points["odds_ratio"] is None, "NaN is unknown"
     assert line("predicted", matches={"L": 3}) == "unknown"
     assert accuracy_text(None) == "unknown"
+    warnings = ("a: dark", "b: dark", "a: blurred", "general: remark")
+    joint = Result(("a", "b"), np.eye(4), np.eye(4), Status.CONVERGED, "", warnings=warnings)
+    texts = [text for label, text in result_lines(joint) if label == "warning"]
+    assert texts == ["2 frames: dark", "a: blurred", "general: remark"]
 
 
-def test_the_wording_of_the_evidence() -> None:
+def test_the_wording_of_the_evidence_has_no_sign_of_a_difference() -> None:
     agreement = Agreement(0.3, 0.05, 900, 64)
     odds = 0.3 / 0.7 / (0.05 / 0.95)
     assert line("agreement", agreement=agreement) == (
@@ -107,10 +98,8 @@ def test_the_wording_of_the_evidence() -> None:
         "rotation error 0.20 deg (67 %), inf deg (95 %), translation error 0.050 m (67 %), 0.120 m (95 %)"
     )
     assert line("by axis", accuracy=accuracy).startswith("roll 0.10 deg, pitch 0.10 deg, yaw 0.10 deg, x 0.010 m, ")
-
-
-def test_a_warning_of_several_frames_is_one_line_with_their_number() -> None:
-    warnings = ("a: dark", "b: dark", "a: blurred", "general: remark")
-    joint = Result(("a", "b"), np.eye(4), np.eye(4), Status.CONVERGED, "", warnings=warnings)
-    texts = [text for label, text in result_lines(joint) if label == "warning"]
-    assert texts == ["2 frames: dark", "a: blurred", "general: remark"]
+    lower = line("next best", rival=Rival(-3.04, "edges", 1.0, 0.1))
+    assert lower.endswith("cost lower by 3.0 edges")
+    assert line("next best", rival=Rival(3.04, "edges", 1.0, 0.1)).endswith("cost higher by 3.0 edges")
+    costs = line("cost", judged=Judged("directed-distance", "px", 4.0, 2.0, -0.25))
+    assert "0.25 px less at the truth" in costs

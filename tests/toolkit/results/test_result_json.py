@@ -19,6 +19,8 @@ from p2o.results.verdict import Doubt, Reason, Verdict
 from p2o.solving import Accuracy, Round, TimeOffset
 
 PINHOLE = Camera.pinhole(700.0, 1e3 / 3, 600.0, 180.0, 1242, 375)
+BETTER = RadialError(0.1 / 3, 0.01).corrected(PINHOLE)
+BARE = Result(("a",), np.eye(4), np.eye(4), Status.NO_EDGES, "no edges")
 
 
 def _result(seed: int = 0) -> Result:
@@ -42,20 +44,7 @@ def _result(seed: int = 0) -> Result:
         agreement=Agreement(1 / 3, 0.1 / 3, 4000),
         rival=Rival(1.5, "edges", math.inf, 0.1 / 3),
         verdict=Verdict((Reason(Doubt.RIVAL_POSE, "another pose"), Reason(Doubt.CAMERA, 'it is "off"'))),
-        cameras=(
-            CameraCheck(
-                4,
-                PINHOLE,
-                RadialError(0.1 / 3, 0.01).corrected(PINHOLE),
-                -0.1 / 3,
-                1e-9,
-                0.01,
-                math.nan,
-                2.5,
-                math.inf,
-                False,
-            ),
-        ),
+        cameras=(CameraCheck(4, PINHOLE, BETTER, -0.1 / 3, 1e-9, 0.01, math.nan, 2.5, math.inf, False),),
         motions=(SweepMotion("drive/0000000005", 8.1, math.inf, 0.1 / 3, math.nan, (0.0, 0.0, 1e-3, 8.1, -0.0, 0.0)),),
         time=TimeOffset(-0.1 / 3, math.inf, True),
         seconds={"extract": 1.5},
@@ -83,16 +72,12 @@ def _same(a: Result, b: Result) -> bool:
     return _bits(a) == _bits(b)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_result_comes_back_bit_by_bit(seed: int) -> None:
     result = _result(seed)
     assert _same(result_from_json(result_to_json(result)), result)
     assert not _same(result, replace(result, residual_px={"L": np.nextafter(0.1, 1.0), "U": math.nan}))
-
-
-def test_a_result_of_defaults_comes_back_too() -> None:
-    bare = Result(("a",), np.eye(4), np.eye(4), Status.NO_EDGES, "no edges")
-    assert _same(result_from_json(result_to_json(bare)), bare)
+    assert _same(result_from_json(result_to_json(BARE)), BARE)
 
 
 def test_the_text_is_json_for_every_reader_without_nan() -> None:
@@ -114,8 +99,8 @@ def test_the_word_of_the_verdict_and_the_odds_are_there_for_who_reads_the_file_a
     }
     assert value["agreement"]["odds_ratio"] == pytest.approx((1 / 2) / ((0.1 / 3) / (1 - 0.1 / 3)))
     assert list(value["rival"].values()) == [1.5, "edges", "inf", 0.1 / 3]
-    bare = result_to_dict(Result(("a",), np.eye(4), np.eye(4), Status.NO_EDGES, "no edges in the image"))
-    reasons = [{"doubt": "not-solved", "text": "no edges in the image"}]
+    bare = result_to_dict(BARE)
+    reasons = [{"doubt": "not-solved", "text": "no edges"}]
     assert bare["verdict"] == {"trust": "refused", "reasons": reasons}
     assert (bare["agreement"], bare["rival"], bare["judged"]) == (None, None, None)
 
@@ -126,22 +111,16 @@ def test_a_word_of_the_verdict_that_somebody_changed_is_not_believed() -> None:
     assert not result_from_dict(value).verdict.trusted
     del value["verdict"]["trust"], value["agreement"]["odds_ratio"]
     assert _same(result_from_dict(value), _result())
-
-
-def test_a_result_without_a_verdict_is_refused_though_the_verdict_has_a_default() -> None:
-    value = result_to_dict(_result())
+    # Without a verdict it is refused, though the verdict has a default.
     del value["verdict"], value["judged"]
     with pytest.raises(InputError, match="the result lacks fields; expected judged, verdict"):
         result_from_dict(value)
 
 
-def test_numbers_of_numpy_are_numbers() -> None:
+def test_numbers_of_numpy_are_numbers_and_a_recipe_that_json_cannot_hold_is_refused_with_its_place() -> None:
     result = replace(_result(), matches={"L": np.int64(3)}, residual_px={"L": np.float64(0.25)})
     again = result_from_json(result_to_json(result))
     assert (again.matches, again.residual_px) == ({"L": 3}, {"L": 0.25})
-
-
-def test_a_recipe_that_json_cannot_hold_is_refused_with_its_place() -> None:
     with pytest.raises(InputError, match=r"recipe.options.matcher has no form in JSON.*got object"):
         result_to_dict(replace(_result(), recipe={"options": {"matcher": object()}}))
 
@@ -189,16 +168,10 @@ def test_what_is_not_a_result_is_refused_by_field(change: Any, message: str) -> 
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("text", ["", "{", "[1, 2", "not json"])
-def test_text_that_is_not_json_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match="the result is not JSON"):
+@pytest.mark.parametrize("text", ["", "{", "[1, 2", "not json", "null", "[]", "3", '"x"'])
+def test_text_that_is_not_json_or_no_object_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match=r"the result is not (JSON|an object)"):
         result_from_json(text)
-
-
-@pytest.mark.parametrize("value", [None, [], 3, "x"])
-def test_json_that_is_not_an_object_is_refused(value: Any) -> None:
-    with pytest.raises(InputError, match="the result is not an object"):
-        result_from_dict(value)
 
 
 def test_a_result_from_before_there_were_bounds_by_axis_is_read() -> None:
@@ -220,6 +193,4 @@ def test_a_start_that_was_weighed_in_and_the_camera_come_back() -> None:
     result = replace(_result(), start_weight=weight, intrinsics=camera)
     again = result_from_json(result_to_json(result))
     assert again.intrinsics == camera
-    assert again.start_weight is not None
     np.testing.assert_array_equal(again.start_weight.camera_from_lidar, np.eye(4))
-    assert result_from_json(result_to_json(replace(_result(), intrinsics=None))).intrinsics is None

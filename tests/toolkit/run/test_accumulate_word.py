@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 import p2o
 import pytest
-from p2o import Cloud, Frame, InputError, Method, PluginError, Recipe, Registry
+from p2o import Cloud, Frame, InputError, Kind, Method, PluginError, Recipe, Registry
 from p2o_testing import stage
+
+from tests.toolkit.offered import registry_with
 
 
 class Frames(list[Frame]):
@@ -20,16 +22,12 @@ class Frames(list[Frame]):
 
 
 class Joins:
-    """Joins the points of all frames it is shown, and notes which."""
+    """Joins the points of all frames it is shown."""
 
     past, future = 2, 1
 
-    def __init__(self) -> None:
-        self.shown: list[tuple[list[str], int]] = []
-
     def __call__(self, frames: list[Frame], number: int) -> Cloud:
         assert all(frame.camera_from_lidar is None for frame in frames)
-        self.shown.append(([frame.name for frame in frames], number))
         return Cloud(np.concatenate([frame.cloud.xyz for frame in frames]))
 
 
@@ -41,31 +39,13 @@ def drive(sequences: str = "aaab") -> Frames:
 
 
 def registry(make: object) -> Registry:
-    class Plugin:
-        @p2o.hookimpl
-        def p2o_accumulators(self):
-            yield Method(
-                name="joins", build=lambda options: make, summary="Joins.", needs={"sequence"}, gives={"dense"}
-            )
+    def beams(options):
+        return lambda cloud: p2o.CloudFeatures(p2o.CloudEdges.empty())
 
-        @p2o.hookimpl
-        def p2o_cloud_extractors(self):
-            def build(options):
-                return lambda cloud: p2o.CloudFeatures(p2o.CloudEdges.empty())
-
-            gives = {"cloud-edges", "side"}
-            yield Method(name="beams", build=build, summary="Needs rings.", needs={"rings"}, gives=gives)
-
-    import p2o_baselines.hooks
-    import p2o_datasets.hooks
-    import p2o_plugins.hooks
-
-    return Registry.of(p2o_datasets.hooks, p2o_plugins.hooks, p2o_baselines.hooks, Plugin())
-
-
-def test_a_recipe_joins_the_frames_of_python() -> None:
-    plan = Recipe.of(data=None, extractor="depth/rings", accumulate="joins").resolve(registry(Joins()))
-    assert len(plan.joined(drive())[1].cloud) == 300
+    joins = Method(name="joins", build=lambda options: make, summary="Joins.", needs={"sequence"}, gives={"dense"})
+    gives = {"cloud-edges", "side"}
+    needy = Method(name="beams", build=beams, summary="Needs rings.", needs={"rings"}, gives=gives)
+    return registry_with((Kind.ACCUMULATOR, joins), (Kind.CLOUD_EXTRACTOR, needy))
 
 
 def test_what_needs_rings_is_refused_where_sweeps_are_joined() -> None:
@@ -74,7 +54,8 @@ def test_what_needs_rings_is_refused_where_sweeps_are_joined() -> None:
     with pytest.raises(InputError, match="kitti-odometry gives no rings; beams needs it"):
         Recipe.of(**words, data="kitti-odometry:/nowhere").resolve(registry(Joins()))
     plan = Recipe.of(**words, data=None).resolve(registry(Joins()))
-    frame = plan.joined(drive())[0]
+    frame = plan.joined(drive())[1]
+    assert len(frame.cloud) == 300
     with pytest.raises(InputError, match="the frame has no rings; beams needs it"):
         plan.check_frame(frame)
 

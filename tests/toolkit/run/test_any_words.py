@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable
 from typing import Any
@@ -53,14 +52,6 @@ def test_any_perturbation_is_a_finite_size_or_refused(text: str) -> None:
         assert 0 <= size.distance_m < math.inf
 
 
-@given(st.floats(0, 180), st.floats(0, 50), st.booleans())
-def test_a_perturbation_that_is_written_is_read_again(angle: float, shift: float, uniform: bool) -> None:
-    said = f"{'uniform ' * uniform}{angle:.6f}deg {shift:.6f}m"
-    size = parse_perturbation(said)
-    assert (size.angle_deg, size.distance_m) == pytest.approx((angle, shift), abs=1e-6)
-    assert size.draw == ("uniform" if uniform else "exact")
-
-
 @pytest.mark.parametrize("read", [split_data, value_of, lambda t: parse_settings([t]), lambda t: parse_fields([t])])
 @given(text=WORDS)
 def test_any_setting_is_understood_or_refused(read: Callable[[str], Any], text: str) -> None:
@@ -81,17 +72,6 @@ def _plain(value: Any) -> bool:
         return all(_plain(inner) for inner in value)
     # TOML has dates; they stay what they are, and no option takes them. YAML has bytes and sets.
     return value is None or not callable(value)
-
-
-@given(
-    st.recursive(
-        st.none() | st.booleans() | st.integers() | st.text(),
-        lambda x: st.lists(x) | st.dictionaries(st.text(), x),
-        max_leaves=20,
-    )
-)
-def test_json_that_is_written_is_read_again(value: Any) -> None:
-    assert parse_json(json.dumps(value), "file") == value
 
 
 @given(st.lists(st.text(min_size=1, max_size=200), min_size=1, max_size=8, unique=True))

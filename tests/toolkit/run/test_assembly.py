@@ -13,6 +13,8 @@ from p2o.host.slots import WITNESS, WITNESS_STAGES
 from p2o.solving import Doubt
 from p2o_testing import stage
 
+from tests.toolkit.offered import registry_with
+
 TRUTH = stage.camera_from_lidar()
 START = TRUTH @ p2o.se3.exp(np.array([0.01, 0, 0, 0.02, 0, 0]))
 
@@ -32,16 +34,9 @@ class Claims:
         return Result(names, start, self.pose, Status.CONVERGED, "it says so")
 
 
-def registry(stage_of_method: Any) -> Registry:
-    class Plugin:
-        @p2o.hookimpl
-        def p2o_calibrators(self):
-            yield Method(name="claims", build=lambda options: stage_of_method, summary="Says a pose.")
-
-    import p2o_baselines.hooks
-    import p2o_plugins.hooks
-
-    return Registry.of(p2o_plugins.hooks, p2o_baselines.hooks, Plugin())
+def registry(stage_of_method: Any, alone: bool = False) -> Registry:
+    method = Method(name="claims", build=lambda options: stage_of_method, summary="Says a pose.")
+    return registry_with((Kind.CALIBRATOR, method), alone=alone)
 
 
 def result_of(stage_of_method: Any, **words: Any) -> Result:
@@ -52,25 +47,15 @@ def result_of(stage_of_method: Any, **words: Any) -> Result:
 @pytest.mark.parametrize(
     "pose", [TRUTH, TRUTH @ p2o.se3.exp(np.array([0, 0.05, 0.05, 0, 0, 0]))], ids=["right", "wrong"]
 )
-def test_what_a_whole_method_claims_is_held_against_edges(pose: np.ndarray) -> None:
-    result = result_of(Claims(pose), witness="depth/rings")
-    assert result.agreement.points > 0
-    assert result.verdict.trusted == (pose is TRUTH)
-    assert "witness" in result.seconds
-
-
-@pytest.mark.parametrize("pose", [TRUTH, TRUTH @ p2o.se3.exp(np.array([0, 0.05, 0.05, 0, 0, 0]))])
-def test_the_advice_of_a_frame_is_repeated_by_results_that_are_not_trusted(pose: np.ndarray) -> None:
+def test_what_a_whole_method_claims_is_held_against_edges_and_advice_repeated_if_not_trusted(pose: np.ndarray) -> None:
     plan = Recipe.of(data=None, calibrator="claims", witness="depth/rings").resolve(registry(Claims(pose)))
     frame = replace(stage.frame(), warnings=("grey image",), advice=("try rectified=true",))
     result = plan.assembly()([frame], START)
+    assert result.agreement.points > 0
+    assert result.verdict.trusted == (pose is TRUTH)
+    assert "witness" in result.seconds
     assert f"{frame.name}: grey image" in result.warnings
-    assert (f"{frame.name}: try rectified=true" in result.warnings) == (not result.verdict.trusted)
-
-
-def test_without_a_witness_nothing_is_checked_and_that_is_said() -> None:
-    result = result_of(Claims(TRUTH), witness="none")
-    assert [reason.doubt for reason in result.verdict.reasons] == [Doubt.NOT_CHECKED]
+    assert (f"{frame.name}: try rectified=true" in result.warnings) == (pose is not TRUTH)
 
 
 def test_a_witness_that_is_named_must_be_there_and_the_usual_one_need_not() -> None:
@@ -78,13 +63,7 @@ def test_a_witness_that_is_named_must_be_there_and_the_usual_one_need_not() -> N
         result_of(Claims(TRUTH), witness="dept/rings")
     with pytest.raises(InputError, match="--witness is a pair of methods"):
         result_of(Claims(TRUTH), witness="depth")
-
-    class Alone:
-        @p2o.hookimpl
-        def p2o_calibrators(self):
-            yield Method(name="claims", build=lambda options: Claims(TRUTH), summary="Says a pose.")
-
-    plan = Recipe.of(data=None, calibrator="claims").resolve(Registry.of(Alone()))
+    plan = Recipe.of(data=None, calibrator="claims").resolve(registry(Claims(TRUTH), alone=True))
     assert not set(plan.parts) & set(WITNESS)
     assert plan.assembly()([stage.frame()], START).verdict.reasons[0].doubt is Doubt.NOT_CHECKED
 
@@ -96,6 +75,7 @@ def test_a_whole_method_prepares_each_frame_once_and_without_its_truth() -> None
     result = plan.assembly()(frames, START)
     assert result.frames == ("stage", "second")
     assert [frame.camera_from_lidar for frame in method.shown] == [None, None]
+    assert [reason.doubt for reason in result.verdict.reasons] == [Doubt.NOT_CHECKED]
     assert tuple(plan.assembly().stages) == ("calibrator",)
 
 
@@ -124,20 +104,10 @@ class Own(p2o.InitializerBase):
         return [start]
 
 
-def with_own(own: Own) -> Registry:
-    class Plugin:
-        @p2o.hookimpl
-        def p2o_initializers(self):
-            yield Method(name="own", build=lambda options: own, summary="Prepares.", needs={"sequence"})
-
-    import p2o_plugins.hooks
-
-    return Registry.of(p2o_plugins.hooks, Plugin())
-
-
-def test_an_initializer_may_prepare_frames_and_finds_that_in_its_views() -> None:
+def test_an_initializer_may_prepare_frames_and_finds_that_in_its_views_and_frames_hold_what_it_needs() -> None:
     own = Own()
-    plan = Recipe.of(data=None, extractor="depth/rings", init="own").resolve(with_own(own))
+    method = Method(name="own", build=lambda options: own, summary="Prepares.", needs={"sequence"})
+    plan = Recipe.of(data=None, extractor="depth/rings", init="own").resolve(registry_with((Kind.INITIALIZER, method)))
     assembly = plan.assembly()
     assert tuple(assembly.stages) == ("extractor", "cloud", "init")
     assembly(stage.drive(), START)
@@ -145,46 +115,24 @@ def test_an_initializer_may_prepare_frames_and_finds_that_in_its_views() -> None
     assert own.found[:3] == ["of stage/0", "of stage/1", "of stage/2"]
     assembly.calibrator(stage.drive()[:1], START)
     assert own.found[-1] == "of stage/0", "the pipeline by itself does the same"
-
-
-def test_what_frames_hold_is_asked_for_initializers_too() -> None:
-    plan = Recipe.of(data=None, extractor="depth/rings", init="own").resolve(with_own(Own()))
     plan.check_frame(stage.drive()[0])
     with pytest.raises(InputError, match="the frame has no sequence; own needs it"):
         plan.check_frame(stage.frame())
 
 
-def test_stages_with_edges_need_no_witness() -> None:
-    plan = Recipe.of(data=None, extractor="depth/rings", init="given").resolve(registry(Claims(TRUTH)))
-    assert not set(plan.parts) & set(WITNESS)
-    assert tuple(plan.assembly().stages) == ("extractor", "cloud")
-
-
 @pytest.mark.parametrize(
-    ("build", "text"),
-    [
-        (lambda options: 3, "build returned int; expected prepare"),
-        (lambda options: lambda f, s: None, "returned NoneType"),
-    ],
+    ("method", "text"), [(3, "build returned int; expected prepare"), (lambda f, s: None, "returned NoneType")]
 )
-def test_a_calibrator_that_is_none_names_its_plugin(build, text: str) -> None:
-    class Plugin:
-        @p2o.hookimpl
-        def p2o_calibrators(self):
-            yield Method(name="broken", build=build, summary="Broken.")
-
-    with pytest.raises(p2o.PluginError, match=f"calibrator 'broken'.*{text}"):
-        Recipe.of(data=None, calibrator="broken", witness="none").resolve(Registry.of(Plugin())).assembly()(
-            [stage.frame()], START
-        )
+def test_a_calibrator_that_is_none_names_its_plugin(method: Any, text: str) -> None:
+    with pytest.raises(p2o.PluginError, match=f"calibrator 'claims'.*{text}"):
+        result_of(method, witness="none")
 
 
-def test_kinds_have_a_hook_each() -> None:
-    assert Kind.ACCUMULATOR.hook == "p2o_accumulators"
-
-
-def test_a_resolved_recipe_with_a_witness_resolves_again() -> None:
+def test_a_resolved_recipe_with_a_witness_resolves_again_and_stages_with_edges_need_none() -> None:
     plan = Recipe.of(data="synthetic:", calibrator="csc").resolve(Registry.load())
     assert set(WITNESS_STAGES.values()) <= set(plan.parts)
     again = Recipe.of(**plan.described()).resolve(Registry.load())
     assert set(again.parts) == set(plan.parts)
+    plan = Recipe.of(data=None, extractor="depth/rings", init="given").resolve(registry(Claims(TRUTH)))
+    assert not set(plan.parts) & set(WITNESS)
+    assert tuple(plan.assembly().stages) == ("extractor", "cloud")

@@ -47,7 +47,6 @@ def test_a_folder_is_recognised_by_its_layout(tmp_path: Path, kind: str) -> None
     ("kind", "inside"),
     [
         ("kitti-raw", "2011_09_26/2011_09_26_drive_0005_sync"),
-        ("kitti-raw", "2011_09_26"),
         ("kitti-odometry", "sequences/00"),
         ("folder", "a"),
         ("ros", "bag_0.db3"),
@@ -88,7 +87,7 @@ class Recordings:
         return [Method(name="recordings", build=list, summary="Recordings.", recognises=self.recognises)]
 
 
-def test_the_dataset_of_a_plugin_recognises_its_own_folder(tmp_path: Path) -> None:
+def test_the_dataset_of_a_plugin_recognises_its_own_folder_and_is_named_where_it_fails(tmp_path: Path) -> None:
     laid_out(tmp_path, "drive/sweeps.rec")
     registry = Registry.of(Recordings(layout("*/sweeps.rec")))
     assert split_data(str(tmp_path), registry) == ("recordings", {"root": str(tmp_path)})
@@ -98,8 +97,5 @@ def test_the_dataset_of_a_plugin_recognises_its_own_folder(tmp_path: Path) -> No
         named_data(str(tmp_path / "drive"), registry)
     with pytest.raises(InputError, match="dataset recordings takes no path"):
         Recipe(data=str(tmp_path)).resolve(registry)
-
-
-def test_a_dataset_that_fails_to_recognise_a_path_is_named(tmp_path: Path) -> None:
     with pytest.raises(PluginError, match="dataset 'recordings' raised ZeroDivisionError while recognising"):
         data_kind(tmp_path, Registry.of(Recordings(lambda path: 1 / 0)))

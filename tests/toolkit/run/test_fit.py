@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from p2o import Kind, Method
 from p2o.host.registry import Offer
-from p2o.run.fit import misfit_of, missing_words
+from p2o.run.fit import misfit_of
 
 STAGES = {
     "data": Kind.DATASET,
@@ -47,11 +47,8 @@ EDGES = {"extractor": ("", "image-edges side"), "cloud": ("", "cloud-edges side"
 )
 def test_a_matcher_needs_what_both_extractors_give(needs: str, missing: tuple[str, str, str] | None) -> None:
     assert misfit(**EDGES, matcher=(needs, "pairs")) == missing
-
-
-def test_content_without_a_prefix_must_come_from_both_extractors() -> None:
-    both = [offer("extractor", "", "side"), offer("cloud")]
-    assert [(word, giver.name) for word, giver in missing_words(["side"], both)] == [("side", "cloud")]
+    blunt = {**EDGES, "cloud": ("", "cloud-edges")}  # what has no prefix must come from both
+    assert misfit(**blunt, matcher=("side", "pairs")) == ("side", "cloud", "matcher")
 
 
 @pytest.mark.parametrize("needs", ["pairs", "residuals", "objective"])
@@ -67,9 +64,7 @@ def test_optional_content_of_frames_is_open_until_they_are_read() -> None:
     assert misfit(**stages) is None
     assert misfit(frozenset({"rings"}), **stages) is None
     assert misfit(frozenset({"time"}), **stages) == ("rings", "data", "cloud")
-
-
-def test_a_data_set_that_declares_its_content_has_no_other_but_that_of_frames() -> None:
+    # A data set that declares its content has no other but that of frames.
     assert misfit(data=("", "intensity"), calibrator=("radar", "")) == ("radar", "data", "calibrator")
     assert misfit(data=("", ""), calibrator=("radar", "")) is None
 

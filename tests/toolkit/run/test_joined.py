@@ -51,32 +51,22 @@ class Numbers:
     ("index", "sees"), [(0, [0, 1, 2]), (1, [0, 1, 2, 3]), (3, [2, 3]), (4, [4, 5, 6]), (-1, [6, 7])]
 )
 def test_a_frame_is_joined_with_its_neighbours_of_the_same_drive(index: int, sees: list[int]) -> None:
-    frame = JoinedFrames(Drives(), Numbers())[index]
+    accumulate = Numbers()
+    frame = JoinedFrames(Drives(), accumulate)[index]
     own = range(8)[index]
     assert frame.cloud.xyz[:, 1].tolist() == [own, *sees]
-    assert frame.sweep is not None
     assert frame.sweep.xyz[:, 1].tolist() == [own]
-
-
-def test_an_accumulator_never_sees_the_truth_and_the_frame_keeps_it() -> None:
-    accumulate = Numbers()
-    frame = JoinedFrames(Drives(), accumulate)[1]
     assert frame.camera_from_lidar is not None
-    assert all(seen.camera_from_lidar is None for frames in accumulate.seen for seen in frames)
+    assert all(seen.camera_from_lidar is None for frames in accumulate.seen for seen in frames), "never the truth"
 
 
-def test_going_through_a_drive_reads_each_frame_once() -> None:
+def test_going_through_a_drive_reads_each_frame_once_and_none_for_names() -> None:
     drives = Drives()
     frames = JoinedFrames(drives, Numbers())
+    assert (frames.names, drives.read) == (drives.names, [])
     assert [frame.name for frame in frames] == list(frames.names)
     # The frame that ends a drive is followed by one that is read to see that it is of another.
     assert sorted(drives.read) == list(range(8))
-
-
-def test_a_frame_that_stands_alone_is_refused_by_name() -> None:
-    alone = Frame("alone", IMAGE, Cloud([[1.0, 2.0, 3.0]]))
-    with pytest.raises(InputError, match="alone: the frame is of no sequence"):
-        JoinedFrames([alone], Numbers())[0]
 
 
 @dataclass
@@ -109,15 +99,12 @@ class Nameless(Sequence[Frame]):
         return self.drives[index]
 
 
-def test_names_of_a_dataset_that_has_them_are_known_without_reading_frames() -> None:
-    drives = Drives()
-    assert JoinedFrames(drives, Numbers()).names == drives.names
-    assert drives.read == []
-
-
-def test_a_dataset_without_names_is_read_once_for_names_and_cameras() -> None:
+def test_a_dataset_without_names_is_read_once_for_names_and_cameras_and_a_frame_alone_refused() -> None:
     nameless = Nameless()
     joined = JoinedFrames(nameless, Numbers())
     assert [joined.names[i] for i in range(8)] == list(nameless.drives.names)
     assert [joined.camera_name(i) for i in range(8)] == [""] * 8
     assert sorted(nameless.drives.read) == list(range(8))
+    alone = Frame("alone", IMAGE, Cloud([[1.0, 2.0, 3.0]]))
+    with pytest.raises(InputError, match="alone: the frame is of no sequence"):
+        JoinedFrames([alone], Numbers())[0]

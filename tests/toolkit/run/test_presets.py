@@ -20,11 +20,13 @@ def test_every_published_method_fits_together(name: str) -> None:
     assert plan.parts["matcher"].offer.name == presets(REGISTRY)[name].words["matcher"]
 
 
-def test_every_matcher_and_calibrator_is_a_method() -> None:
+def test_every_matcher_and_calibrator_is_a_method_and_an_unknown_one_is_refused() -> None:
     for kind in (Kind.MATCHER, Kind.CALIBRATOR):
         for offer in REGISTRY.of_kind(kind):
             words = preset_of(offer.name, REGISTRY).merged({"data": None})
             Recipe.of(**words).resolve(REGISTRY)
+    with pytest.raises(UnknownNameError, match=r"--method: unknown method 'hand-ey'.*did you mean hand-eye"):
+        preset_of("hand-ey", REGISTRY)
 
 
 def test_published_methods_are_those_of_the_study_of_rivals() -> None:
@@ -59,11 +61,6 @@ def test_options_of_a_replaced_method_are_left_out(word: str, name: str, stage: 
     merged = preset_of("nid", REGISTRY).merged({word: name})
     assert merged[word] == name
     assert merged["options"] == {at: values for at, values in options.items() if at != stage}
-
-
-def test_an_unknown_method_is_refused_with_similar_names() -> None:
-    with pytest.raises(UnknownNameError, match=r"--method: unknown method 'hand-ey'.*did you mean hand-eye"):
-        preset_of("hand-ey", REGISTRY)
 
 
 def test_what_a_method_stands_for_is_a_command(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

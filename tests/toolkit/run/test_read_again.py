@@ -19,6 +19,8 @@ from p2o.cli.out_dir import OutDir
 from p2o.run.recipe import open_dataset
 from p2o.run.run import run
 
+from tests.toolkit.offered import registry_with
+
 
 class Counted:
     """Frames that are made anew whenever they are asked for; `most` is how many were alive at once."""
@@ -71,9 +73,7 @@ def test_many_frames_are_read_again_and_give_the_same(frames: list[Frame], monke
     assert again.most < len(frames) - 1
 
 
-def test_of_too_many_frames_an_even_subset_is_read_and_the_others_are_counted(
-    frames: list[Frame], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_of_too_many_frames_an_even_subset_is_read(frames: list[Frame], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("p2o.run.run.MOST_JOINT_FRAMES", 3)
     result = joint(Counted(frames))
     assert result.frames == tuple(frames[number].name for number in (0, 2, 4))
@@ -81,9 +81,7 @@ def test_of_too_many_frames_an_even_subset_is_read_and_the_others_are_counted(
     np.testing.assert_array_equal(result.camera_from_lidar, joint(Counted(frames[::2])).camera_from_lidar)
 
 
-def test_a_plain_function_of_many_frames_gets_them_one_at_a_time(
-    frames: list[Frame], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_plain_function_gets_many_frames_one_at_a_time(frames: list[Frame], monkeypatch: pytest.MonkeyPatch) -> None:
     names = []
 
     def whole(given: Sequence[Frame], start: np.ndarray) -> p2o.Result:
@@ -92,14 +90,11 @@ def test_a_plain_function_of_many_frames_gets_them_one_at_a_time(
             names.append(frame.name)
         return p2o.Result(tuple(names), start, start, p2o.Status.CONVERGED, "done")
 
-    class Plugin:
-        @p2o.hookimpl
-        def p2o_calibrators(self):
-            yield Method(name="whole", build=lambda options: whole, summary="A function of frames.")
-
+    registry = registry_with((Kind.CALIBRATOR, Method(name="whole", build=lambda _: whole, summary="A function.")))
     monkeypatch.setattr("p2o.run.run.MAX_FRAMES_IN_MEMORY", 2)
     data = Counted(frames)
-    plan = Recipe.of(data=None, calibrator="whole", perturb="1deg 0.05m", joint=True).resolve(Registry.of(Plugin()))
+    recipe = Recipe.of(data=None, calibrator="whole", witness="none", perturb="1deg 0.05m", joint=True)
+    plan = recipe.resolve(registry)
     assert run(plan, data).result.frames == data.names == tuple(names)
     assert data.most < len(frames) - 1
 
@@ -124,21 +119,11 @@ def test_pictures_of_frames_that_are_read_again_show_features_that_were_found_on
     frames: list[Frame], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, focal_px: float
 ) -> None:
     installed, calls = Registry.load(), Counter()
-
-    class Plugin:
-        @p2o.hookimpl
-        def p2o_image_extractors(self):
-            yield counting(installed.find(Kind.IMAGE_EXTRACTOR, "depth").method, calls)
-
-        @p2o.hookimpl
-        def p2o_cloud_extractors(self):
-            yield counting(installed.find(Kind.CLOUD_EXTRACTOR, "rings").method, calls)
-
-    import p2o_plugins.hooks
-
+    counted = ((Kind.IMAGE_EXTRACTOR, "depth"), (Kind.CLOUD_EXTRACTOR, "rings"))
+    offers = [(kind, counting(installed.find(kind, name).method, calls)) for kind, name in counted]
     monkeypatch.setattr("p2o.run.run.MAX_FRAMES_IN_MEMORY", 2)
     recipe = Recipe.of(data=None, extractor="counted-depth/counted-rings", perturb="1deg 0.05m", joint=True)
-    plan = recipe.resolve(Registry.of(p2o_plugins.hooks, Plugin()))
+    plan = recipe.resolve(registry_with(*offers))
     folder = OutDir.prepared(str(tmp_path)).for_frames([frame.name for frame in frames])
     cameras = [replace(frame.camera, params=(focal_px, focal_px, *frame.camera.params[2:])) for frame in frames]
     images = [replace(frame.image, camera=camera) for frame, camera in zip(frames, cameras, strict=True)]
@@ -156,9 +141,7 @@ def test_a_bad_frame_among_many_is_named(frames: list[Frame], monkeypatch: pytes
             return super().__getitem__(index)
 
     monkeypatch.setattr("p2o.run.run.MAX_FRAMES_IN_MEMORY", 2)
-    with pytest.raises(
-        p2o.InputError, match=f"cut short; a joint calibration needs every frame: leave {frames[4].name}"
-    ):
+    with pytest.raises(p2o.InputError, match=f"cut short; a joint .* needs every frame: leave {frames[4].name}"):
         joint(Broken(frames))
 
 
@@ -176,16 +159,10 @@ def test_frames_of_a_joint_calibration_are_read_at_once_where_the_dataset_allows
                 both.wait(timeout=30)  # broken unless two are read at the same time
             return super().__getitem__(index)
 
-    class Plugin:
-        @p2o.hookimpl
-        def p2o_datasets(self):
-            yield Method(name="meeting", build=lambda _: Meeting(frames), summary="Frames.", parallel=parallel)
-
-    import p2o_plugins.hooks
-
+    method = Method(name="meeting", build=lambda _: Meeting(frames), summary="Frames.", parallel=parallel)
     monkeypatch.setattr("p2o.runtime.native.cores", lambda: 2)
     words = {"extractor": "depth/rings", "init": "given", "perturb": "1deg 0.05m", "joint": True}
-    plan = Recipe.of(data="meeting:", **words).resolve(Registry.of(p2o_plugins.hooks, Plugin()))
+    plan = Recipe.of(data="meeting:", **words).resolve(registry_with((Kind.DATASET, method)))
     assert run(plan).result.frames == tuple(frame.name for frame in frames)
     assert (len(threads) == 1) == (not parallel)
 

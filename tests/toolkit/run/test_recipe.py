@@ -18,6 +18,8 @@ from p2o.run.words import parse_settings, split_data
 from p2o_formats import hooks as formats
 from p2o_testing import stage
 
+from tests.toolkit.offered import registry_with
+
 
 class Sized(p2o.Options):
     size: int = p2o.field(3, ge=1, le=9, help="A size.")
@@ -27,10 +29,6 @@ class Sized(p2o.Options):
 class Rooted(p2o.Options):
     root: str = p2o.field(..., help="A folder.")
     scenes: int = p2o.field(1, help="How many.")
-
-
-class Frames(list[Frame]):
-    names = ("stage",)
 
 
 def never(*_: Any) -> None:
@@ -79,29 +77,15 @@ def resolved(**words: Any) -> Any:
     return Recipe.of(**{**WORDS, **words}).resolve(REGISTRY)
 
 
-def test_resolving_builds_nothing_and_reads_nothing() -> None:
-    plan = resolved()
-    assert {stage: part.offer.name for stage, part in plan.parts.items()} == {
-        "data": "synthetic",
-        "extractor": "sided",
-        "cloud": "rings",
-        "matcher": "directed",
-        "solver": "least-squares",
-        "init": "given",
-    }
-
-
-def test_what_is_not_said_takes_the_default_of_the_recipe() -> None:
-    recipe = Recipe.of(matcher=None, frames=None, seed=3)
-    assert (recipe.data, recipe.extractor, recipe.matcher, recipe.solver) == (
-        "synthetic:",
-        "p2ornet/rings",
-        "ogm",
-        "lm",
-    )
-    assert (recipe.init, recipe.seed, recipe.joint, recipe.perturb) == ("search", 3, False, None)
+def test_what_is_not_said_takes_the_default_of_the_recipe_and_resolving_builds_nothing() -> None:
+    assert Recipe.of(matcher=None, frames=None, seed=3) == Recipe(seed=3)
+    assert Recipe.of(seed=2**63 - 1).seed == 2**63 - 1, "which fits in every store"
+    with pytest.raises(InputError, match=r"recipe\.seed is out of bounds; .*than or equal to 9223372036854775807"):
+        Recipe.of(seed=2**63)
     with pytest.raises(UnknownNameError, match=r"unknown recipe option 'matchr'.*did you mean matcher"):
         Recipe.of(matchr="ogm")
+    names = {stage: part.offer.name for stage, part in resolved().parts.items()}
+    assert names == {**WORDS, "data": "synthetic", "extractor": "sided", "cloud": "rings"}
 
 
 @pytest.mark.parametrize(
@@ -128,13 +112,10 @@ def test_stages_that_do_not_fit_are_refused_with_what_would(words: dict[str, str
     assert str(caught.value) == message
 
 
-def test_what_a_frame_may_hold_is_checked_when_it_is_read() -> None:
-    plan = resolved(extractor="stereoscopic/rings")
-    frame = stage.frame()
-    plan.check_frame(frame)
-    blind = p2o.Image(frame.image.rgb, frame.camera)
-    with pytest.raises(InputError, match="stage: the frame has no right; stereoscopic needs it; try --extractor sided"):
-        plan.check_frame(Frame("stage", blind, frame.cloud))
+@pytest.mark.parametrize("extractor", ["sided", "sided/", "/rings", "a/b/c", ""])
+def test_an_extractor_is_a_pair(extractor: str) -> None:
+    with pytest.raises(InputError, match="IMAGE/CLOUD"):
+        resolved(extractor=extractor)
 
 
 @pytest.mark.parametrize(
@@ -148,22 +129,18 @@ def test_what_a_frame_may_hold_is_checked_when_it_is_read() -> None:
     ],
 )
 def test_a_method_may_need_what_only_frames_of_drives_or_with_targets_hold(word: str, held: dict[str, Any]) -> None:
-    class Asking:
-        @p2o.hookimpl
-        def p2o_calibrators(self) -> list[Method]:
-            return [Method(name="asking", build=never, summary="A test.", needs=frozenset({word}))]
-
-    plan = Recipe.of(data="synthetic:", calibrator="asking").resolve(Registry.of(acme=Offered(), other=Asking()))
+    method = Method(name="asking", build=never, summary="A test.", needs=frozenset({word}))
+    recipe = Recipe.of(data=None, calibrator="asking", witness="none")
+    plan = recipe.resolve(registry_with((Kind.CALIBRATOR, method)))
     frame = stage.frame()
     with pytest.raises(InputError, match=f"the frame has no {word}; asking needs it"):
         plan.check_frame(frame)
     plan.check_frame(replace(frame, **held))
-
-
-def test_an_extractor_is_a_pair() -> None:
-    for wrong in ("sided", "sided/", "/rings", "a/b/c", ""):
-        with pytest.raises(InputError, match="IMAGE/CLOUD"):
-            resolved(extractor=wrong)
+    stereo = resolved(extractor="stereoscopic/rings")
+    stereo.check_frame(frame)
+    blind = replace(frame, image=p2o.Image(frame.image.rgb, frame.camera))
+    with pytest.raises(InputError, match="stage: the frame has no right; stereoscopic needs it; try --extractor sided"):
+        stereo.check_frame(blind)
 
 
 def test_a_whole_method_takes_the_place_of_the_stages() -> None:
@@ -178,12 +155,15 @@ def test_a_whole_method_takes_the_place_of_the_stages() -> None:
         Recipe.of(data="synthetic:", calibrator="whole", options={"pipeline": {"rounds": 1}}).resolve(REGISTRY)
 
 
-def test_texts_and_values_of_options_mean_the_same() -> None:
+def test_texts_and_values_of_options_mean_the_same_also_of_lists_and_nested_names() -> None:
     by_text = resolved(matcher="nearest", options=parse_settings(["matcher.size=4", "pipeline.reach_px=2e1"]))
     by_value = resolved(matcher="nearest", options={"matcher": {"size": 4}, "pipeline": {"reach_px": 20}})
     assert by_text.described() == by_value.described()
     assert by_text.described()["options"]["matcher"] == {"size": 4, "seed": 0}
     assert by_text.described()["options"]["pipeline"]["reach_px"] == 20.0
+    assert parse_settings(["data.sizes=[1, 2]", "data.a.b=x=y", "data.none=null", "data.size=1", "data.size=2"]) == {
+        "data": {"sizes": [1, 2], "a": {"b": "x=y"}, "none": None, "size": "2"}
+    }
 
 
 @pytest.mark.parametrize(
@@ -204,44 +184,38 @@ def test_bad_options_are_told_with_path_value_and_bound(setting: str, message: s
         resolved(matcher="nearest", options=parse_settings([setting]))
 
 
-def test_settings_take_lists_null_and_nested_names() -> None:
-    assert parse_settings(["data.sizes=[1, 2]", "data.a.b=x=y", "data.none=null", "data.size=1", "data.size=2"]) == {
-        "data": {"sizes": [1, 2], "a": {"b": "x=y"}, "none": None, "size": "2"}
-    }
-
-
-def test_an_option_called_seed_follows_the_recipes_seed_unless_it_is_set() -> None:
+def test_an_option_called_seed_follows_the_recipes_seed_and_the_description_of_a_plan_repeats_it() -> None:
     plan = resolved(matcher="nearest", seed=5, options={"solver": {"seed": 1}})
     seeds = {stage: part.options.seed for stage, part in plan.parts.items() if hasattr(part.options, "seed")}
     assert seeds == {"data": 5, "matcher": 5, "solver": 1}
     assert resolved(data="synthetic:?seed=2", seed=5).parts["data"].options.seed == 2
+    plan = resolved(matcher="nearest", perturb="2deg 0.1m", seed=4, joint=True, options={"solver": {"size": 2}})
+    again = Recipe.of(**plan.described()).resolve(REGISTRY)
+    assert again.described() == plan.described()
+    whole = Recipe.of(data="synthetic:", calibrator="whole").resolve(REGISTRY)
+    assert Recipe.of(**whole.described()).resolve(REGISTRY).described() == whole.described()
 
 
 @pytest.mark.parametrize(
     ("text", "name", "options"),
     [
         ("synthetic:", "synthetic", {}),
-        ("synthetic", "synthetic", {}),
         ("synthetic:?scenes=4&seed=1", "synthetic", {"scenes": "4", "seed": "1"}),
-        ("kitti-raw:/a/b", "kitti-raw", {"root": "/a/b"}),
         ("kitti-raw:a:b?c", "kitti-raw", {"root": "a:b?c"}),
         ("kitti-raw:/a?camera=0", "kitti-raw", {"root": "/a", "camera": "0"}),
-        ("kitti-raw:C:\\a", "kitti-raw", {"root": "C:\\a"}),
         ("synthetic:?", "synthetic", {}),
+        ("files:~/kitti", "files", {"root": "/home/ada/kitti"}),
     ],
 )
-def test_data_text_is_a_dataset_a_path_and_options(text: str, name: str, options: dict[str, str]) -> None:
-    assert split_data(text) == (name, options)
-
-
-def test_paths_of_data_know_the_home_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_data_text_is_a_dataset_a_path_and_options(
+    text: str, name: str, options: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("HOME", "/home/ada")
-    assert split_data("files:~/kitti") == ("files", {"root": "/home/ada/kitti"})
+    assert split_data(text) == (name, options)
 
 
 def test_a_dataset_with_and_without_a_path() -> None:
     options = resolved(data="files:/a?scenes=2").parts["data"].options
-    assert isinstance(options, Rooted)
     assert (options.root, options.scenes) == ("/a", 2)
     with pytest.raises(InputError, match="dataset files needs a path; expected files:PATH"):
         resolved(data="files:")
@@ -253,19 +227,8 @@ def test_a_dataset_with_and_without_a_path() -> None:
         resolved(data="/a/b")
     with pytest.raises(UnknownNameError, match=r"unknown dataset 'fils'.*did you mean files\?"):
         resolved(data="fils:/a")
-
-
-def test_the_perturbation_is_read_before_the_data() -> None:
     with pytest.raises(InputError, match="--perturb: cannot read the size"):
-        resolved(perturb="two degrees")
-
-
-def test_the_description_of_a_plan_repeats_it() -> None:
-    plan = resolved(matcher="nearest", perturb="2deg 0.1m", seed=4, joint=True, options={"solver": {"size": 2}})
-    again = Recipe.of(**plan.described()).resolve(REGISTRY)
-    assert again.described() == plan.described()
-    whole = Recipe.of(data="synthetic:", calibrator="whole").resolve(REGISTRY)
-    assert Recipe.of(**whole.described()).resolve(REGISTRY).described() == whole.described()
+        resolved(perturb="two degrees", data="files:/a")
 
 
 def test_an_export_is_a_name_and_a_path(tmp_path: Any) -> None:
@@ -323,19 +286,10 @@ TRUTH = stage.camera_from_lidar()
 OTHER = TRUTH @ p2o.se3.make(translation=(0.1, 0.0, 0.0))
 
 
-def test_no_stage_ever_sees_the_truth() -> None:
-    spy = Spy([framed("a", TRUTH)])
-    run = spy.run(perturb="2deg 0.1m")
-    [(frames, start)] = spy.seen
-    assert [frame.camera_from_lidar for frame in frames] == [None]
-    assert not np.allclose(start, TRUTH)
-    assert run.rows[0].error is not None
-    assert run.rows[0].error.rotation_deg == pytest.approx(2.0, abs=1e-9)
-
-
-def test_a_perturbed_start_is_as_wrong_as_asked_and_follows_seed_and_frame() -> None:
+def test_a_perturbed_start_is_as_wrong_as_asked_and_follows_seed_and_frame_and_the_truth_is_not_seen() -> None:
     frames = [framed(name, TRUTH) for name in "abc"]
-    starts = {seed: [start for _, start in _seen(frames, seed)] for seed in (0, 0, 1)}
+    assert all(frame.camera_from_lidar is None for seen, _ in _seen(frames, 0) for frame in seen)
+    starts = {seed: [start for _, start in _seen(frames, seed)] for seed in (0, 1)}
     for start in starts[0]:
         error = p2o.pose_error(start, TRUTH)
         assert error.rotation_deg == pytest.approx(2.0, abs=1e-9)
@@ -353,28 +307,14 @@ def _seen(dataset: list[Frame], seed: int, **words: Any) -> Any:
     return spy.seen
 
 
-def test_a_seed_fits_in_every_store() -> None:
-    assert Recipe.of(seed=2**63 - 1).seed == 2**63 - 1
-    with pytest.raises(
-        InputError, match=r"recipe.seed is out of bounds; expected less than or equal to 9223372036854775807"
+def test_a_start_of_the_data_is_taken_before_the_truth_whose_use_is_said_and_without_both_there_is_nothing() -> None:
+    for frame, used, remark in (
+        (framed("a", TRUTH, start=OTHER), OTHER, ""),
+        (framed("a", TRUTH), TRUTH, "the start is the calibration that the data give"),
     ):
-        Recipe.of(seed=2**63)
-
-
-def test_a_start_of_the_data_is_taken_before_the_truth() -> None:
-    spy = Spy([framed("a", TRUTH, start=OTHER)])
-    run = spy.run()
-    assert np.allclose(spy.seen[0][1], OTHER, atol=1e-12)
-    assert run.result.warnings == ()
-
-
-def test_a_truth_that_serves_as_start_is_said() -> None:
-    spy = Spy([framed("a", TRUTH)])
-    assert "the start is the calibration that the data give" in spy.run().result.warnings[0]
-    assert np.allclose(spy.seen[0][1], TRUTH, atol=1e-12)
-
-
-def test_without_any_start_there_is_nothing_to_do() -> None:
+        spy = Spy([frame])
+        assert remark in "".join(spy.run().result.warnings[:1])
+        assert np.allclose(spy.seen[0][1], used, atol=1e-12)
     with pytest.raises(InputError, match="a: there is no start to calibrate from"):
         Spy([framed("a")]).run()
     with pytest.raises(InputError, match="a: the truth is not known, so it cannot be perturbed"):
@@ -410,14 +350,6 @@ def test_a_start_may_be_given_in_python_but_not_with_a_perturbation() -> None:
         spy.run(start=np.eye(3))
 
 
-def test_a_joint_run_is_one_call_with_all_frames() -> None:
-    spy = Spy([framed("a", TRUTH), framed("b"), framed("c", TRUTH)])
-    run = spy.run(joint=True, perturb="2deg 0.1m")
-    [(frames, _)] = spy.seen
-    assert [frame.name for frame in frames] == ["a", "b", "c"]
-    assert run.result.frames == ("a", "b", "c")
-
-
 def test_the_order_of_the_chosen_frames_does_not_change_a_joint_calibration() -> None:
     words: dict[str, Any] = {
         "data": "synthetic:?frames_per_scene=3&width_px=621&height_px=188&right=false",
@@ -435,40 +367,31 @@ def test_the_order_of_the_chosen_frames_does_not_change_a_joint_calibration() ->
 class Unnamed:
     """A whole method that names frames by what it prepared of them."""
 
-    def __init__(self, prepared: Any) -> None:
-        self.prepared = prepared
-
     def prepare(self, frame: Frame) -> Any:
-        return self.prepared
+        return 3
 
     def solve(self, prepared: Any, start: Any) -> Result:
         return Result(tuple(str(one) for one in prepared), start, start, Status.CONVERGED, "because it is a test")
 
 
-@pytest.mark.parametrize("prepared", ["x", 3])
-def test_frames_of_a_result_are_named_by_the_frames(prepared: Any) -> None:
-    class Plugin:
-        @p2o.hookimpl
-        def p2o_calibrators(self) -> Any:
-            yield Method(name="unnamed", build=lambda options: Unnamed(prepared), summary="A test.")
-
-    frames = [framed("a", TRUTH), framed("b", TRUTH)]
-    words: dict[str, Any] = {"calibrator": "unnamed", "witness": "none", "registry": Registry.of(acme=Plugin())}
+def test_frames_of_a_result_are_named_by_the_frames() -> None:
+    method = Method(name="unnamed", build=lambda options: Unnamed(), summary="A test.")
+    frames, registry = [framed("a", TRUTH), framed("b", TRUTH)], registry_with((Kind.CALIBRATOR, method))
+    words: dict[str, Any] = {"calibrator": "unnamed", "witness": "none", "registry": registry}
     assert [row.result.frames for row in p2o.calibrate(frames, **words).rows] == [("a",), ("b",)]
     assert p2o.calibrate(frames, joint=True, **words).result.frames == ("a", "b")
 
 
-def test_frames_of_two_rigs_are_not_calibrated_jointly() -> None:
+def test_frames_of_two_rigs_are_not_calibrated_jointly_but_rounded_and_unknown_poses_are_one_rig() -> None:
     spy = Spy([framed("a", TRUTH), framed("b", OTHER)])
     with pytest.raises(InputError, match=r"frames a and b have different extrinsics.*0 deg and 0\.1 m apart"):
         spy.run(joint=True)
     assert len(spy.run().rows) == 2
-
-
-def test_poses_that_files_rounded_frame_by_frame_are_one_rig() -> None:
     rounded = TRUTH @ p2o.se3.exp(np.array([5e-7, 0, -5e-7, 0, 4e-7, 0]))
-    run = Spy([framed("a", TRUTH), framed("b", rounded)]).run(joint=True, perturb="2deg 0.1m")
-    assert run.result.frames == ("a", "b")
+    spy = Spy([framed("a", TRUTH), framed("b", rounded), framed("c")])
+    assert spy.run(joint=True, perturb="2deg 0.1m").result.frames == ("a", "b", "c")
+    [(frames, _)] = spy.seen
+    assert [frame.name for frame in frames] == ["a", "b", "c"], "one call with all frames"
 
 
 def test_a_cloud_that_does_not_tell_its_rings_is_calibrated_with_a_warning() -> None:
@@ -511,16 +434,13 @@ def test_a_plugin_that_fails_ends_its_frame_not_the_run(monkeypatch: pytest.Monk
         spy.run()
 
 
-def test_every_result_names_recipe_seed_and_versions() -> None:
-    result = Spy([framed("a", TRUTH)]).run(seed=6, perturb="1deg").result
-    assert result.seed == 6
-    assert result.recipe["perturb"] == "1deg"
-    assert result.recipe["calibrator"] == "spy"
-    assert {"python", "numpy", "p2o-calib"} <= set(result.versions)
-
-
-def test_progress_is_told_before_and_after_every_calibration() -> None:
+def test_progress_is_told_around_every_calibration_and_results_name_recipe_seed_and_versions() -> None:
     told: list[tuple[int, int, str, bool]] = []
     spy = Spy([framed("a", TRUTH), framed("b", TRUTH)])
-    spy.run(on_progress=lambda p: told.append((p.done, p.total, p.name, p.row is not None)))
+    run = spy.run(
+        seed=6, perturb="1deg", on_progress=lambda p: told.append((p.done, p.total, p.name, p.row is not None))
+    )
     assert told == [(0, 2, "a", False), (1, 2, "a", True), (1, 2, "b", False), (2, 2, "b", True)]
+    result = run.rows[1].result
+    assert (result.seed, result.recipe["perturb"], result.recipe["calibrator"]) == (6, "1deg", "spy")
+    assert {"python", "numpy", "p2o-calib"} <= set(result.versions)

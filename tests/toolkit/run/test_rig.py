@@ -24,7 +24,6 @@ def placed(word: str = "camera_from_body", **more: Any) -> dict[str, Any]:
 
 def groups(rig: Rig | None, names: list[str], said: dict[str, str] | None = None) -> dict[str, list[int]]:
     """Return the frames by camera; `said` are the cameras that frames name."""
-    assert rig is not None
     return rig.groups(names, range(len(names)), lambda index: (said or {}).get(names[index], ""))[0]
 
 
@@ -35,7 +34,6 @@ def test_a_rig_file_tells_frames_and_places(tmp_path: Path, suffix: str) -> None
     path = tmp_path / f"rig.{suffix}"
     path.write_text(yaml.safe_dump(content) if suffix == "yaml" else json.dumps(content))
     rig = Rig.of(str(path))
-    assert rig is not None
     assert rig.cameras == ("LEFT", "RIGHT")
     np.testing.assert_allclose(rig.camera_from_body["RIGHT"], RIGHT, atol=1e-12)
     body_from_lidar = se3.make([[0, -1, 0], [1, 0, 0], [0, 0, 1]], [1, 0, 2])
@@ -54,31 +52,23 @@ def test_one_place_is_told_in_four_words() -> None:
         places = parse_rig(content, "rig").camera_from_body
         between = places["RIGHT"] @ se3.inverse(places["LEFT"])
         np.testing.assert_allclose(between, RIGHT @ se3.inverse(LEFT), atol=1e-12)
-
-
-def test_places_against_the_lidar_are_starts_too() -> None:
-    rig = parse_rig(placed("camera_from_lidar"), "rig")
-    np.testing.assert_allclose(rig.start_of("LEFT"), LEFT, atol=1e-12)
+    # Places against the LiDAR are starts, too.
+    np.testing.assert_allclose(parse_rig(placed("camera_from_lidar"), "rig").start_of("LEFT"), LEFT, atol=1e-12)
     assert parse_rig(placed(), "rig").start_of("LEFT") is None
 
 
-def test_a_mapping_of_placed_cameras_alone_is_a_rig() -> None:
+def test_a_mapping_of_placed_cameras_alone_is_a_rig_and_without_a_file_frames_say_their_camera() -> None:
     rig = parse_rig({name: {"camera_from_lidar": rows} for name, rows in ROWS.items()}, "rig.json")
     assert rig.cameras == ("LEFT", "RIGHT")
     names = ["scene-0-LEFT", "scene-0-RIGHT", "RIGHT"]
     found, remarks = rig.groups(names, range(3), lambda index: "")
     assert found == {"LEFT": [0], "RIGHT": [1, 2]}
     assert remarks["RIGHT"] == ("rig.json: frames of RIGHT are assigned by the ends of their names",), "never silently"
-
-
-def test_an_end_of_a_name_is_a_whole_word() -> None:
+    # An end is a whole word.
     rig = parse_rig({"cameras": {"LEFT": None, "BACK_LEFT": None}}, "rig")
     assert groups(rig, ["a-BACK_LEFT", "LEFT"]) == {"LEFT": [1], "BACK_LEFT": [0]}
     with pytest.raises(InputError, match="frame XLEFT is of no camera"):
         groups(rig, ["XLEFT"])
-
-
-def test_without_a_file_frames_say_their_camera() -> None:
     assert groups(Rig.of(True), ["a", "b", "c"], {"a": "R", "b": "L", "c": "R"}) == {"R": [0, 2], "L": [1]}
     assert Rig.of(False) is None
     with pytest.raises(InputError, match="frame b names no camera; expected a camera_name, or a rig file"):
@@ -100,8 +90,7 @@ def test_a_moving_rig_sees_from_where_it_was_when_each_image_was_taken() -> None
 
 
 MIRROR = np.diag([1.0, 1, -1, 1]).tolist()
-FLAT = np.zeros((4, 4))
-FLAT[3, 3] = 1
+FLAT = np.diag([0.0, 0, 0, 1]).tolist()
 
 
 @pytest.mark.parametrize(
@@ -113,10 +102,7 @@ FLAT[3, 3] = 1
         ({"cameras": {"LEFT": 3}}, "rig: LEFT is not valid"),
         ({"cameras": {"FRONT LEFT": {}}}, "rig: the name of a camera is not valid"),
         (placed(cameraz={}), "rig: unknown key 'cameraz'; .*did you mean cameras?"),
-        (
-            {"cameras": {"LEFT": {"camera_from_bdy": 1}}},
-            "unknown key of camera LEFT 'camera_from_bdy'.*camera_from_body",
-        ),
+        ({"cameras": {"LEFT": {"camera_from_bdy": 1}}}, "unknown key of camera LEFT 'camera_from_bdy'.*_from_body"),
         ({"cameras": {"LEFT": {"frames": "*"}}}, "rig: LEFT.frames is not valid"),
         ({"cameras": {**placed()["cameras"], "BACK": {}, "TOP": {}}}, "the place of BACK, TOP is missing"),
         (
@@ -128,7 +114,7 @@ FLAT[3, 3] = 1
             "the places of the cameras have several forms",
         ),
         ({"cameras": {"LEFT": {"camera_from_body": MIRROR}}}, "the rotation of LEFT.camera_from_body mirrors space"),
-        ({"cameras": {"LEFT": {"camera_from_body": FLAT.tolist()}}}, "LEFT.camera_from_body is not orthonormal"),
+        ({"cameras": {"LEFT": {"camera_from_body": FLAT}}}, "LEFT.camera_from_body is not orthonormal"),
         ({"cameras": {"LEFT": {"camera_from_body": [[1, 2], [3, 4]]}}}, "LEFT.camera_from_body is not a pose"),
         (placed(body_from_lidar=[1, 2]), "body_from_lidar is not a pose"),
         ({"cameras": {"LEFT": {}}, "body_from_lidar": np.eye(4).tolist()}, "body_from_lidar is of no use without"),
@@ -180,6 +166,5 @@ def test_a_place_against_the_lidar_may_be_a_calibration_file_beside_the_rig_file
         np.savetxt(tmp_path / f"{name}.txt", pose)
     (tmp_path / "rig.yaml").write_text("front: {camera_from_lidar: front.txt}\nleft: {camera_from_lidar: left.txt}\n")
     rig = Rig.of(str(tmp_path / "rig.yaml"))
-    assert rig is not None
     np.testing.assert_allclose(rig.start_of("left"), pose, atol=1e-12)
     assert "does not state a direction" in rig.warnings["left"][0]

@@ -31,15 +31,12 @@ def posterior(speed: float, sigma: float) -> SweepMotion:
     return motion(mean, total**-0.5)
 
 
-def test_the_prior_of_the_motion_counts_once() -> None:
+def test_the_prior_of_the_motion_counts_once_and_a_camera_that_observes_none_adds_nothing() -> None:
     common = CommonMotion.of([posterior(3.0, 2.0), posterior(5.0, 1.0)], PRIOR)
     information = 1 / 2.0**2 + 1 / 1.0**2 + 1 / 8.0**2
     assert common.consistent
     assert common.speed_m_s == pytest.approx((3.0 / 4 + 5.0 + 8.0 / 64) / information)
     assert common.speed_sigma == pytest.approx(information**-0.5)
-
-
-def test_a_camera_that_observes_no_motion_adds_nothing() -> None:
     common = CommonMotion.of([posterior(3.0, 1.0), motion(8.3, 7.9, 3.0, 5.9)], PRIOR)
     alone = CommonMotion.of([posterior(3.0, 1.0)], PRIOR)
     assert common == alone
@@ -56,7 +53,7 @@ def assembly() -> Assembly:
     return Recipe.of(data=None).resolve(p2o.Registry.load()).assembly()
 
 
-def test_motions_that_contradict_each_other_make_both_results_doubtful(assembly: Assembly) -> None:
+def test_motions_of_one_sweep_that_contradict_each_other_make_both_results_doubtful(assembly: Assembly) -> None:
     cameras = results(motion(-0.5, 0.6), motion(6.7, 0.7))
     out = with_common_motions(cameras, assembly, lambda number, again: pytest.fail("calibrated again"))
     for result in out:
@@ -65,6 +62,9 @@ def test_motions_that_contradict_each_other_make_both_results_doubtful(assembly:
         assert reason.doubt is Doubt.CONTRADICTION
         assert "front -0.5 +- 0.6 m/s" in reason.text
         assert "side 6.7 +- 0.7 m/s" in reason.text
+    cameras = [replace(camera, sweeps={"frame": camera.camera}) for camera in cameras]
+    out = with_common_motions(cameras, assembly, lambda number, again: pytest.fail("calibrated again"))
+    assert [result is camera.result for result, camera in zip(out, cameras, strict=True)] == [True, True]
 
 
 def test_cameras_are_calibrated_again_with_the_motion_that_they_share(assembly: Assembly) -> None:
@@ -81,13 +81,6 @@ def test_cameras_are_calibrated_again_with_the_motion_that_they_share(assembly: 
     for _, twist, options in asked:
         assert twist[3] == pytest.approx(first.motions[0].speed_m_s)
         assert (options.speed_m_s, options.speed_sigma_m_s) == (0.0, pytest.approx(first.motions[0].speed_sigma))
-
-
-def test_cameras_of_different_sweeps_keep_their_motions(assembly: Assembly) -> None:
-    cameras = results(motion(-0.5, 0.6), motion(6.7, 0.7))
-    cameras = [replace(camera, sweeps={"frame": camera.camera}) for camera in cameras]
-    out = with_common_motions(cameras, assembly, lambda number, again: pytest.fail("calibrated again"))
-    assert [result is camera.result for result, camera in zip(out, cameras, strict=True)] == [True, True]
 
 
 @pytest.mark.system

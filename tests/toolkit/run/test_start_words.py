@@ -40,9 +40,7 @@ def test_the_command_line_begins_at_the_pose_that_the_words_mean(capsys: pytest.
 
 
 @pytest.mark.parametrize("words", [["--start", "roughly"], ["--start", "roughly", "--joint"]])
-def test_an_option_after_roughly_is_no_part_of_the_description(
-    words: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_option_after_roughly_is_no_part_of_it(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", "--data", "synthetic:", *words]) == 2
     told = capsys.readouterr().err
     assert "roughly x forward, z up" in told or "x forward, z up" in told
@@ -58,7 +56,6 @@ def test_an_option_after_roughly_is_no_part_of_the_description(
         (["--joint", "--start", "roughly", WORDS], f"roughly {WORDS}", True),
         (["--start", "roughly", "--joint"], "roughly", True),
         (["--start", "a.json", "--joint"], "a.json", True),
-        (["--start", "roughly"], "roughly", None),
     ],
 )
 def test_a_start_in_two_words_is_one_value(words: list[str], start: str, joint: bool | None) -> None:
@@ -75,17 +72,13 @@ def test_commands_that_project_from_a_pose_take_the_two_words_too(name: str) -> 
         assert (parameters["start"], parameters["pose"]) == (f"roughly {WORDS}", "truth")
 
 
-def test_python_takes_the_same_words_or_a_pose() -> None:
+def test_python_takes_the_same_words_or_a_pose_and_refuses_what_contradicts_them() -> None:
     registry = p2o.Registry.load(extra_files=[PLUGIN], environ={})
     told = p2o.calibrate(stage.frame(), calibrator="spy", witness="none", start=f"roughly {WORDS}", registry=registry)
     assert np.allclose(told.result.camera_from_lidar, rough_start(f"roughly {WORDS}"))
     plain = p2o.calibrate(stage.frame(), calibrator="spy", witness="none", start=np.eye(4), registry=registry)
     assert np.array_equal(plain.result.camera_from_lidar, np.eye(4))
     assert "start" not in plain.result.recipe
-
-
-def test_what_contradicts_the_words_is_refused() -> None:
-    registry = p2o.Registry.load(extra_files=[PLUGIN], environ={})
     with pytest.raises(InputError, match="both a start and a perturbation"):
         p2o.calibrate("synthetic:", start=f"roughly {WORDS}", perturb="1deg", registry=registry)
     with pytest.raises(InputError, match="a start is of one camera, and a rig has several"):
@@ -96,20 +89,7 @@ def test_what_contradicts_the_words_is_refused() -> None:
         p2o.calibrate("synthetic:", start="ahead", registry=registry)
 
 
-def test_a_start_may_be_a_calibration_file_of_another_tool(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path, pose = tmp_path / "transform.sh", rough_start(f"roughly {WORDS}")
-    path.write_bytes(FORMATS["ros2"].written(Calibration(None, pose)))
-    data = "synthetic:?width_px=160&height_px=64&lidar=vlp-16&right=false"
-    assert main(["run", "--data", data, *SPY, "--json", "--start", str(path)]) == 0
-    [row] = json.loads(capsys.readouterr().out)["results"]
-    np.testing.assert_allclose(row["camera_from_lidar"], pose, atol=1e-12)
-    assert row["recipe"]["start"] == str(path)
-    assert row["intrinsics"]["width"] == 160
-
-
-def test_a_start_file_without_a_direction_is_checked_against_the_sweep(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_without_a_direction_is_checked_by_the_sweep(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The inverse of a pose with x forward lies on its side; and that the file says no direction is told."""
     path, pose = tmp_path / "pose.npy", rough_start(f"roughly {WORDS}")
     data = "synthetic:?width_px=160&height_px=64&lidar=vlp-16&right=false"

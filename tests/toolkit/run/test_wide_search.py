@@ -32,14 +32,11 @@ def error_deg(result: Result) -> float:
     return pose_error(result.camera_from_lidar, TRUTH).rotation_deg
 
 
-def test_a_rough_start_beyond_the_reach_of_the_search_is_corrected_by_the_wide_search() -> None:
+def test_a_rough_start_beyond_the_reach_or_far_from_a_trusted_result_leads_to_the_wide_search() -> None:
     result = solved(ROUGH, start=WORDS)
     assert error_deg(result) < 0.5
     assert any("wide search" in text for text in result.warnings)
-
-
-def test_a_trusted_result_far_from_a_rough_start_is_compared_with_the_wide_search() -> None:
-    """On KITTI such a result was trusted with an error of 2.5 deg, which the wide search corrected."""
+    # On KITTI such a result was trusted with an error of 2.5 deg, which the wide search corrected.
     result = solved(se3.exp(np.array([np.radians(5.0), 0, 0, 0, 0, 0])) @ TRUTH, start=WORDS)
     assert error_deg(result) < 0.5
     assert any("5.0 deg from it" in text for text in result.warnings)
@@ -56,14 +53,12 @@ def test_a_start_that_is_no_rough_one_names_the_wide_search_in_one_line() -> Non
 def test_a_trusted_result_runs_no_wide_search() -> None:
     near = se3.exp(np.array([0.02, 0, 0, 0, 0, 0])) @ TRUTH
     result = solved(near, start=WORDS)
-    assert result.verdict.trusted
-    assert not result.warnings
+    assert (result.verdict.trusted, result.warnings) == (True, ())
 
 
 @pytest.mark.parametrize("words", [{"start": WORDS, "init": "grid"}, {}])
 def test_another_initializer_or_start_has_no_wide_search(words: dict[str, str]) -> None:
-    plan = Recipe.of(data=None, **words).resolve(p2o.Registry.load())
-    assert plan.assembly().wide is None
+    assert Recipe.of(data=None, **words).resolve(p2o.Registry.load()).assembly().wide is None
 
 
 def test_a_recipe_with_a_wide_search_repeats_from_its_description() -> None:

@@ -11,7 +11,6 @@ from p2o.run.words import NamedData, data_by_name, parse_fields, parse_settings
 @pytest.mark.parametrize(
     ("text", "name", "data"),
     [
-        ("kitti-raw:/a", "", "kitti-raw:/a"),
         ("streets=kitti-raw:/a", "streets", "kitti-raw:/a"),
         (" My streets = synthetic:?scenes=2", "My streets", "synthetic:?scenes=2"),
         ("synthetic:?scenes=2&seed=1", "", "synthetic:?scenes=2&seed=1"),
@@ -25,13 +24,9 @@ def test_a_name_ends_at_the_first_equals_sign_before_the_dataset(text: str, name
     assert NamedData.of(text) == NamedData(name, data)
 
 
-def test_data_without_a_name_are_for_the_only_dataset() -> None:
-    assert data_by_name(["folder:/a"], ["one"], "study s") == {"one": "folder:/a"}
+def test_data_without_a_name_are_for_the_only_dataset_and_of_several_one_is_named() -> None:
     assert data_by_name(["one=folder:/a", "folder:/b"], ["one"], "study s") == {"one": "folder:/b"}
     assert data_by_name([], ["one", "two"], "study s") == {}
-
-
-def test_of_several_datasets_one_is_named() -> None:
     assert data_by_name(["two=folder:/a"], ["one", "two"], "study s") == {"two": "folder:/a"}
     with pytest.raises(InputError, match="dataset of study s is meant; expected NAME=DATASET:PATH with a NAME of one,"):
         data_by_name(["folder:/a"], ["one", "two"], "study s")
@@ -46,10 +41,6 @@ def test_fields_are_set_over_values_that_stay_as_they_are() -> None:
     said = parse_fields(["crop.width=8", "rate=0.1", "rate=0.2"], preset)
     assert said == {"steps": 3, "crop": {"width": "8", "height": 5}, "rate": "0.2"}
     assert preset == {"steps": 3, "crop": {"width": 4, "height": 5}}
-
-
-def test_the_last_of_two_settings_of_one_field_wins() -> None:
-    assert parse_fields(["crop=3", "crop=4"]) == {"crop": "4"}
     assert parse_fields(["crop.width=8"], {"crop": 3}) == {"crop": {"width": "8"}}
     assert parse_fields(["crop={width: 3, height: 2}", "crop.width=8"]) == {"crop": {"width": "8", "height": 2}}
 
@@ -60,9 +51,6 @@ def test_a_setting_does_not_silently_replace_one_of_another_field(settings: list
         parse_fields(settings)
     with pytest.raises(InputError, match=r"^--set: data\.x[.y]* is set already"):
         parse_settings([f"data.{text}" for text in settings])
-
-
-def test_an_option_of_data_is_said_once() -> None:
     with pytest.raises(InputError, match=r"the option a is said twice; expected each once; got folder:\?a=1&b=2&a=3"):
         words.split_data("folder:?a=1&b=2&a=3")
 

@@ -23,9 +23,6 @@ def test_results_come_in_the_order_of_what_is_given(core_count: int) -> None:
         return number * number
 
     assert for_each(work, range(7), parallel=True) == [number * number for number in range(7)]
-
-
-def test_without_parallel_one_thread_does_all() -> None:
     assert set(for_each(lambda _: threading.get_ident(), range(5), parallel=False)) == {threading.get_ident()}
 
 
