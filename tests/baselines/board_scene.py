@@ -116,13 +116,17 @@ def picture(camera: Camera, camera_from_board: Float | None) -> Image:
     return Image(np.repeat(grey[..., None], 3, axis=2), camera)
 
 
+def beams(elevation_deg: Float, azimuth_deg: Float) -> tuple[Float, Float]:
+    """Return the unit vectors (N, 3) of the beams of a sweep, ring after ring, and their rings (N,)."""
+    up, turn = np.meshgrid(np.radians(elevation_deg), np.radians(azimuth_deg), indexing="ij")
+    way = np.stack([np.cos(up) * np.cos(turn), np.cos(up) * np.sin(turn), np.sin(up)], axis=-1)
+    return way.reshape(-1, 3), np.repeat(np.arange(len(elevation_deg)), len(azimuth_deg))
+
+
 def sweep(camera_from_board: Float | None, noise_m: float, seed: int = 0, apex_m: float = 0.0) -> Cloud:
     """Return a sweep of 40 rings, 1 deg apart, of the board before a wall 9 m off and a post, from `apex_m` up."""
     rng = np.random.default_rng(seed)
-    elevation, azimuth = np.meshgrid(np.radians(np.arange(-20, 20)), np.radians(np.arange(-50, 50, 0.2)), indexing="ij")
-    way = np.stack(
-        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=-1
-    ).reshape(-1, 3)
+    way, ring = beams(np.arange(-20.0, 20), np.arange(-50, 50, 0.2))
     start = np.array([0.0, 0.0, apex_m])
     distance = 9.0 / way[:, 0]
     post = np.abs(np.arctan2(way[:, 1], way[:, 0]) - 0.6) < 0.02
@@ -135,7 +139,6 @@ def sweep(camera_from_board: Float | None, noise_m: float, seed: int = 0, apex_m
         on = (np.abs(x) < BOARD.width_m / 2) & (np.abs(y) < BOARD.height_m / 2) & (hit > 0)
         distance = np.where(on, hit, distance)
     distance = distance + rng.normal(0, 1, len(distance)) * noise_m
-    ring = np.repeat(np.arange(40), azimuth.shape[1])
     return Cloud(start + way * distance[:, None], ring=ring)
 
 

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import p2o
 import pytest
-from p2o_baselines.edges import gmm
-from p2o_baselines.edges.gmm import METHOD, Gmm, Mixture, mixtures, scattered
+from p2o_baselines.edges.gmm import Gmm, Mixture, mixtures, scattered
 from p2o_testing import stage
 
 
@@ -31,22 +30,6 @@ def test_the_pictures_are_the_sums_over_all_pairs() -> None:
         count = max(scattered((80, 80), uv, np.ones(40))[max(v - 9, 0) : v + 10, max(u - 9, 0) : u + 10].sum(), 1)
         assert first[v, u] == pytest.approx(bare.sum() / count, rel=0.05)
         assert second[v, u] == pytest.approx(bare @ weight / count, rel=0.05)
-
-
-def test_scattered_points_keep_their_weight_and_place() -> None:
-    out = scattered((10, 12), np.array([[3.25, 6.5]]), np.array([2.0]))
-    assert out.sum() == pytest.approx(2.0)
-    v, u = np.mgrid[:10, :12]
-    assert ((out * u).sum() / 2, (out * v).sum() / 2) == pytest.approx((3.25, 6.5))
-
-
-def test_the_order_of_edges_does_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
-    view, truth, rng = stage.view(), stage.camera_from_lidar(), np.random.default_rng(0)
-    image, cloud = (edges.select(rng.permutation(len(edges))) for edges in (view.image_edges, view.cloud_edges))
-    other = replace(view, image=view.image.having(image), cloud=view.cloud.having(cloud))
-    monkeypatch.setattr(gmm, "_MAX_POINTS", 1_000_000)
-    costs = [Mixture.of([v], truth, 2.0).cost(truth[None])[0] for v in (view, other)]
-    assert costs[0] == pytest.approx(costs[1], rel=1e-12)
 
 
 def test_equal_weights_of_the_image_are_the_special_case_of_unequal_ones() -> None:
@@ -74,12 +57,3 @@ def test_the_width_shrinks_with_the_reach_down_to_its_limit() -> None:
     assert wide < narrow
     own = match([view], truth, 5.0).cost(aside[None])[0]
     assert least == pytest.approx(own)
-
-
-def test_its_judge_is_its_own() -> None:
-    matcher, view, truth = METHOD.build(METHOD.options()), stage.view(), stage.camera_from_lidar()
-    judge = matcher.judge([view], truth, [truth])
-    aside = p2o.se3.exp(np.array([0.0, 0.02, 0, 0, 0, 0])) @ truth
-    right, wrong = judge.costs([truth, aside])
-    assert right < wrong
-    assert judge.on([view]).costs([truth, aside]) == [right, wrong]

@@ -15,14 +15,14 @@ from p2o_baselines.bodies.box_in_sweep import (
     Face,
     around,
     boxes_in_sweep,
-    corner_planes,
     near_corner,
     symmetries,
 )
 from p2o_baselines.target_method import Sight
 from p2o_baselines.targets import pusztai
 
-from tests.baselines.body_scene import AWAY, CAMERA, CUBOID, FISHEYE, TRUTH, corner_on, frame, picture, sweep
+from tests.baselines.board_scene import AWAY, CAMERA, FISHEYE, TRUTH
+from tests.baselines.body_scene import CUBOID, corner_on, frame, picture, sweep
 
 SIZE = CUBOID.size_m
 
@@ -76,7 +76,7 @@ def test_turns_that_leave_a_box_alike_leave_its_corners_in_place(size: tuple[flo
     assert len({tuple(turn.ravel().round(6)) for turn in turns}) == count
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(3))
 def test_the_outline_of_a_box_is_the_hull_of_its_corners(seed: int) -> None:
     import cv2
 
@@ -90,23 +90,6 @@ def test_the_outline_of_a_box_is_the_hull_of_its_corners(seed: int) -> None:
     turned = hull[first:] + hull[:first]
     assert ring in (turned, [turned[0], *turned[:0:-1]])
     assert np.linalg.norm(se3.apply(pose, CUBOID.outline), axis=1).argmin() == corner
-
-
-def test_three_faces_are_found_and_meet_in_the_corner() -> None:
-    rng = np.random.default_rng(0)
-    pose = se3.inverse(TRUTH) @ corner_on(1)[0]
-    eye = np.sign(se3.inverse(pose)[:3, 3])
-    points = []
-    for axis in range(3):
-        on = rng.uniform(-0.4, 0.4, (60, 3)) * SIZE  # none so near to an edge that it lies on two faces
-        on[:, axis] = eye[axis] * SIZE[axis] / 2
-        points.append(on)
-    found = corner_planes(se3.apply(pose, np.concatenate(points)), 0.01, rng)
-    assert found is not None
-    normals, offsets, members = found
-    assert np.abs(normals @ normals.T) == pytest.approx(np.eye(3), abs=1e-9)
-    assert np.linalg.solve(normals, offsets) == pytest.approx(se3.apply(pose, (eye * SIZE / 2)[None])[0], abs=1e-9)
-    assert sorted(len(m) for m in members) == [60, 60, 60]
 
 
 @pytest.mark.parametrize("count", [1, 4])
@@ -132,9 +115,9 @@ def test_a_box_that_is_turned_to_itself_in_the_sweep_gives_the_same_pose() -> No
 def test_of_the_ways_one_box_may_be_turned_the_start_takes_the_nearest_and_says_so() -> None:
     (box,) = corner_on(1)
     far = box @ symmetries(SIZE)[1] @ se3.inverse(box) @ TRUTH
-    if np.linalg.norm(far[:3, 3]) < 3:
-        assert pose_error(solved(sights([box]), far).camera_from_lidar, far).rotation_deg < 1e-3
-        assert any("poses fit the boxes equally well" in line for line in solved(sights([box])).warnings)
+    assert np.linalg.norm(far[:3, 3]) < 3
+    assert pose_error(solved(sights([box]), far).camera_from_lidar, far).rotation_deg < 1e-3
+    assert any("poses fit the boxes equally well" in line for line in solved(sights([box])).warnings)
     # Three boxes that are turned differently leave one pose.
     assert pose_error(solved(sights(corner_on(3)), far).camera_from_lidar, TRUTH).rotation_deg < 1e-3
 
