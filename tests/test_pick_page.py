@@ -8,7 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -326,36 +326,20 @@ def test_ctrl_c_ends_it_too_and_no_pairs_are_status_1(tmp_path: Path) -> None:
     assert complaints == ""
 
 
-def wrong_folder(path: Path) -> list[str]:
-    return ["--out", str(path / "none" / "pairs.yaml")]
-
-
-def wrong_frames(path: Path) -> list[str]:
-    return ["--out", str(path / "pairs.yaml"), "--frames", "7"]
-
-
-def wrong_port(path: Path) -> list[str]:
-    return ["--out", str(path / "pairs.yaml"), "--port", "70000"]
-
-
-def wrong_file(path: Path) -> list[str]:
-    (path / "pairs.yaml").write_text("[]")
-    return ["--out", str(path / "pairs.yaml")]
-
-
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("out", "words", "message"),
     [
-        (wrong_folder, "folder of the pairs is missing"),
-        (wrong_frames, "out of range"),
-        (wrong_port, "70000"),
-        (wrong_file, "another form"),
+        ("none/pairs.yaml", [], "folder of the pairs is missing"),
+        ("pairs.yaml", ["--frames", "7"], "out of range"),
+        ("pairs.yaml", ["--port", "70000"], "70000"),
+        ("other.yaml", [], "another form"),
     ],
 )
 def test_wrong_input_is_an_error_before_anything_is_served(
-    words: Callable[[Path], list[str]], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    out: str, words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["pick", "--no-browser", "--data", DATA, *words(tmp_path)]) == 2
+    (tmp_path / "other.yaml").write_text("[]")
+    assert main(["pick", "--no-browser", "--data", DATA, "--out", str(tmp_path / out), *words]) == 2
     assert message in capsys.readouterr().err
 
 
