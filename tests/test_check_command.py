@@ -12,7 +12,7 @@ import p2o
 import pytest
 from p2o import se3
 from p2o.cli import main
-from p2o.cli.check import percent
+from p2o.cli.check import describe_check, percent
 from p2o.frames.direction import Direction, pose_direction
 from p2o.results.check import CheckStatus
 
