@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import email
 import hashlib
 import importlib.util
 import re
@@ -91,17 +90,6 @@ def test_the_wheel_holds_every_file_of_the_packages_and_nothing_else(wheel: Path
     ):
         assert name in names
     assert {"METADATA", "entry_points.txt", "licenses/LICENSE"} <= about
-
-
-def test_the_wheel_says_what_it_is_and_what_it_needs(wheel: Path) -> None:
-    with zipfile.ZipFile(wheel) as held:
-        [name] = [name for name in held.namelist() if name.endswith(".dist-info/METADATA")]
-        said = email.message_from_bytes(held.read(name))
-    assert said["Name"] == "p2o-calib"
-    assert said["License-Expression"] == "Apache-2.0"
-    assert said["Description-Content-Type"] == "text/markdown"
-    assert "# p2o" in said.get_payload()
-    assert {"ros", "las", "view", "docs"} <= set(said.get_all("Provides-Extra"))
 
 
 @pytest.mark.parametrize("name", ["docs", "tests", "benchmarks"])

@@ -13,7 +13,7 @@ from pathlib import Path
 import click
 import pytest
 from p2o.cli import group, main
-from p2o.cli.json_output import print_json, reserved_stdout, wants_json
+from p2o.cli.json_output import print_json, reserved_stdout
 
 from tests.noisy_plugin import NOISE
 
@@ -101,8 +101,3 @@ def test_python_code_gets_standard_output_back(capfd: pytest.CaptureFixture[str]
     assert capfd.readouterr().out == '{"a": 1}\nafter\n'
     assert main(["doctor", "--quick", "--json"]) in (0, 1)
     assert json.loads(capfd.readouterr().out)["findings"]
-
-
-def test_words_after_two_hyphens_are_no_options() -> None:
-    assert wants_json(["run", "--json"])
-    assert not wants_json(["run", "--", "--json"])
