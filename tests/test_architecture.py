@@ -227,23 +227,6 @@ def test_rooms_import_from_lower_floors_only() -> None:
     nobody(offenders, "rooms of p2o import from lower floors only (FLOORS)")
 
 
-@pytest.mark.parametrize(
-    ("code", "found"),
-    [
-        ("from p2o.geometry import se3", []),
-        ("from p2o.features import side", [("features", 1)]),
-        ("import p2o.host.registry", [("host.registry", 1)]),
-        ("import p2o", [("", 1)]),
-        ("from p2o import Frame", [("", 1)]),
-        ("if TYPE_CHECKING:\n    from p2o.run.run import Run", [("run.run", 2)]),
-        ("def f():\n    from p2o import cli", [("cli", 2)]),
-    ],
-)
-def test_an_upward_import_is_seen(code: str, found: list[tuple[str, int]]) -> None:
-    source = Source(PACKAGES["p2o"] / "frames/image.py", code, "p2o.frames.image")
-    assert [(other, line) for own, other, line in rooms(source) if not goes_down(own, other)] == found
-
-
 # ---- cycles
 
 
@@ -266,22 +249,6 @@ def test_modules_do_not_import_one_another_in_cycles() -> None:
     inside = [source for source in of("p2o") if source.path.stem != "__init__"]
     cycle = module_cycle(sources()) or module_cycle(inside, types=True)
     assert not cycle, " imports ".join(cycle)
-
-
-@pytest.mark.parametrize(
-    ("code", "found"),
-    [
-        ("from p2o_new.a import name", True),
-        ("def f():\n    import p2o_new.a", True),
-        ("class C:\n    def f(self):\n        from p2o_new import a", True),
-        ("if TYPE_CHECKING:\n    from p2o_new.a import name", False),
-        ("from p2o_new.c import name", False),
-    ],
-)
-def test_a_cycle_of_modules_is_seen(code: str, found: bool) -> None:
-    texts = {"p2o_new.a": "from p2o_new.b import name", "p2o_new.b": code, "p2o_new.c": "import numpy"}
-    cycle = module_cycle(Source(ROOT / "new.py", text, module) for module, text in texts.items())
-    assert set(cycle) == ({"p2o_new.a", "p2o_new.b"} if found else set())
 
 
 SIMULATOR = {"world": set(), "things": {"world"}, "places": {"world", "things"}, "sensing": {"world"}, "write": set()}

@@ -220,18 +220,6 @@ def test_a_recipe_from_json_repeats_the_run_to_the_last_bit(capsys: pytest.Captu
     assert run.rows[0].as_dict()["recipe"] == row["recipe"]
 
 
-def test_python_and_the_command_line_give_the_same_bytes(capsys: pytest.CaptureFixture[str]) -> None:
-    settings = ["matcher.huber_px=1.5", "init.prior=5.0"]
-    said: dict[str, Any] = {"extractor": "depth/rings", "perturb": "0.5deg 0.02m", "options": settings}
-    here = p2o.calibrate(STAGE[-1], **said, registry=p2o.Registry.load(extra_files=[PLUGIN])).result
-    words = ["run", *STAGE, "--extractor", "depth/rings", "--perturb", "0.5deg 0.02m", "--json"]
-    status = main([*words, "--set", settings[0], "--set", settings[1]])
-    assert status == (0 if here.status.solved else 1)
-    [row] = json.loads(capsys.readouterr().out)["results"]
-    assert row["camera_from_lidar"] == here.camera_from_lidar.tolist()
-    assert row["recipe"]["options"]["matcher"]["huber_px"] == 1.5
-
-
 def test_the_likely_accuracy_is_said_and_may_be_required(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["run", *TOLERANT, "--perturb", "0.5deg 0.02m"]
     assert main([*words, "--json", "--require", "trusted 2deg 50cm"]) == 0
@@ -415,25 +403,13 @@ DIGITS = 5000 * "9"
         (["run", "--require", "1deg 1e300m"], "--require: the size is out of bounds"),
         (["run", "--perturb", "1deg nanm"], "--perturb: cannot read the size"),
         (["run", "--set", "solver.tolerance=nan"], "solver.tolerance is not valid; expected a finite number; got nan"),
-        (
-            ["run", "--set", f"matcher.huber_px=[{DIGITS}]"],
-            "the value is not YAML; got Exceeds the limit (4300 digits)",
-        ),
+        (["run", "--set", f"matcher.huber_px=[{DIGITS}]"], "the value is not YAML; got Exceeds the limit (4300"),
         (["run", "--set", "pipeline.rounds=" + DIGITS], "pipeline.rounds is not valid"),
-        (
-            ["run", "synthetic:", "--set", "data.scenes=[2020-01-01]"],
-            "data.scenes is not valid; expected a valid integer; got ['2020",
-        ),
-        (
-            ["run", "synthetic:", "--set", "data.scenes=" + 3000 * "["],
-            "the value is nested too deeply; expected at most 64 levels",
-        ),
+        (["run", "synthetic:", "--set", "data.scenes=[2020-01-01]"], "data.scenes is not valid; expected a valid"),
+        (["run", "synthetic:", "--set", "data.scenes=" + 3000 * "["], "the value is nested too deeply; expected at"),
         (["run", "--set", "solver.tolerance=1", "--set", "solver.tolerance.y=2"], "solver.tolerance is set already"),
         (["run", "--seed", DIGITS], "Invalid value for '--seed'"),
-        (
-            ["run", "--seed", str(2**63)],
-            "recipe.seed is out of bounds; expected less than or equal to 9223372036854775",
-        ),
+        (["run", "--seed", str(2**63)], "recipe.seed is out of bounds; expected less than or equal to"),
         (["run", "--frames", DIGITS], "--frames: unknown frame '999"),
         (["run", "--frames", f"0-{DIGITS}"], "--frames: unknown frame '0-999"),
         (["run", "--frames", f"0:{DIGITS}"], "--frames: unknown frame '0:999"),
@@ -447,10 +423,7 @@ DIGITS = 5000 * "9"
         (["run", "--plugin", 300 * "x" + ".py"], "File name too long"),
         (["run", "--out", ""], "--out: the folder has no name"),
         (["run", "--matcher", 100000 * "x"], "unknown matcher 'xxx"),
-        (
-            ["train", "p2ornet", "--data", "synthetic:", "--out", "a", "--share", "nan"],
-            "--share: the share is not finite",
-        ),
+        (["train", "p2ornet", "--data", "synthetic:", "--out", "a", "--share", "nan"], "--share: the share is not"),
         (["simulate", "~nosuch/x", "--layout", "folder"], "~nosuch/x: the home folder of an unknown user"),
         (["simulate", "x", "--layout", "folder", "--set", "a.x=1", "--set", "a=2"], "--set: a.x is set already"),
         (["plugin", "check", "a/b.py"], "load a file with --plugin: p2o plugin check b --plugin a/b.py"),
@@ -464,10 +437,7 @@ DIGITS = 5000 * "9"
         (["run", "--extractor", "rings/rings"], "another kind, cloud extractor: --extractor IMAGE/rings"),
         (["run", "--method", "nidd"], "unknown method 'nidd'"),
         (["run", "--recipe", "papr"], "unknown method 'papr'"),
-        (
-            ["run", "--matcher", "mi"],
-            "--method mi, which stands for --extractor grey/reflectance --matcher mi --solver",
-        ),
+        (["run", "--matcher", "mi"], "--method mi, which stands for --extractor grey/reflectance --matcher mi"),
         (["run", "--seed", "-1"], "Invalid value for '--seed'"),
         (["run", "--block", "p2o-calibb"], "unknown plugin to block 'p2o-calibb'"),
         (["run", "--plugin", "absent.py"], "absent.py: no such plugin file"),

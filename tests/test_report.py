@@ -25,7 +25,7 @@ from p2o_study.report.figures import convergence_of, figures_of
 from p2o_study.report.worst import outcome_text, worst_run
 from p2o_study.row import Row
 from p2o_study.rows import PlanRow
-from p2o_study.statistics import Statistics, _statistics, interval
+from p2o_study.statistics import Statistics, interval
 from p2o_study.study import Published, parse_study
 from p2o_study.summary import Summary, summarised
 from p2o_study.tables import report_latex, report_markdown
@@ -178,14 +178,6 @@ def test_rows_are_compared_only_within_section_dataset_and_kind() -> None:
     assert [len(g.comparisons) for g in groups] == [1, 0, 0, 0]
 
 
-def test_metrics_of_the_study_file_choose_the_columns() -> None:
-    summary = summary_of(frames(5, "a", [1.0]), more='metrics = ["translation_m", "yaw_deg"]\n')
-    assert (summary.norms, summary.axes) == (("translation_m",), ("yaw_deg",))
-    text = markdown(summary)
-    assert "rotation mean" not in text
-    assert "| row | yaw mean [deg] |" in text
-
-
 # ---- pairs
 
 
@@ -199,14 +191,22 @@ def test_equal_runs_are_tied_and_other_starts_are_told() -> None:
     assert "| b | a (other start) | 6 | +0.000 [+0.000, +0.000] | 0 % (100 % tied) |" in markdown(summary)
 
 
+# ---- tables
+
+
+def test_metrics_of_the_study_file_choose_the_columns() -> None:
+    summary = summary_of(frames(5, "a", [1.0]), more='metrics = ["translation_m", "yaw_deg"]\n')
+    assert (summary.norms, summary.axes) == (("translation_m",), ("yaw_deg",))
+    text = markdown(summary)
+    assert "rotation mean" not in text
+    assert "| row | yaw mean [deg] |" in text
+
+
 def test_many_rows_are_compared_with_the_best_alone() -> None:
     runs = [run for i in range(8) for run in frames(5, f"row{i}", [abs(i - 3) + 1.0])]
     pairs = summary_of(runs).groups[0].comparisons
     assert {pair.against for pair in pairs} == {"row3"}
     assert len(pairs) == 7
-
-
-# ---- tables
 
 
 def test_published_rows_stand_beside_ours_and_are_never_bold() -> None:
@@ -343,14 +343,14 @@ def test_rounds_are_logarithmic_where_rows_end_far_from_each_other() -> None:
     assert [panel.y.log for panel in panels_of("convergence", runs)] == [False, True]
 
 
-def test_points_beyond_the_axes_are_counted_in_its_title() -> None:
-    runs = [run_of("a", f"f{i}", 0, 0.1 * (i % 5), 0.1) for i in range(20)] + [run_of("a", "x", 0, 90.0, 0.1)]
-    assert panels_of("boxplot", runs)[0].x.title == "roll [deg]; 1 of 21 runs beyond"
-
-
 def test_frames_are_shown_with_the_median_and_range_of_their_seeds() -> None:
     [series] = panels_of("frames", frames(3, "a", [1.0, 2.0, 4.0]))[0].series
     assert np.allclose([series.low, series.x, series.high], [[1, 1, 1], [2, 2, 2], [4, 4, 4]])
+
+
+def test_points_beyond_the_axes_are_counted_in_its_title() -> None:
+    runs = [run_of("a", f"f{i}", 0, 0.1 * (i % 5), 0.1) for i in range(20)] + [run_of("a", "x", 0, 90.0, 0.1)]
+    assert panels_of("boxplot", runs)[0].x.title == "roll [deg]; 1 of 21 runs beyond"
 
 
 def test_hundreds_of_frames_are_ranked() -> None:

@@ -201,10 +201,7 @@ def test_frames_that_would_share_a_file_have_files_of_their_own(tmp_path: Path) 
         (["--export", "json:{tmp}/one.json"], "several results need several files"),
         (["--export", "json:{tmp}/{{frame}}", "--export", "kitti:{tmp}/{{frame}}"], "two outputs have the same file"),
         (["--out", "{tmp}/o", "--export", "kitti:{tmp}/o/{{frame}}/result.json"], "two outputs have the same file"),
-        (
-            ["--export", "json:{tmp}/no/{{frame}}.json"],
-            "the folder of the export is missing; create it first: mkdir -p",
-        ),
+        (["--export", "json:{tmp}/no/{{frame}}.json"], "the folder of the export is missing; create it first: mkdir -"),
         (["--export", "json:~nosuch/{{frame}}"], "the home folder of an unknown user"),
         (["--out", "~nosuch/out"], "the home folder of an unknown user"),
         (["--out", "/dev/null/out"], "cannot write the results"),

@@ -43,14 +43,6 @@ def test_a_step_below_the_threshold_is_not_an_edge() -> None:
     assert len(edges(weak, low=10, high=121, blur_sigma_px=0)) == 0
 
 
-def test_a_faint_end_is_followed_from_a_strong_beginning() -> None:
-    fading = image(60 + (step() - 60) * np.linspace(1.0, 0.2, 80)[:, None])
-    options = {"high": 300.0, "blur_sigma_px": 0.0}
-    followed, strong_only = edges(fading, low=60, **options), edges(fading, low=300, **options)
-    assert followed.uv[:, 1].max() >= 78
-    assert strong_only.uv[:, 1].max() < 40  # 4 * 100 * contrast < 300 from row 25 on
-
-
 def test_blur_removes_the_edges_of_noise() -> None:
     def far(found: ImageEdges) -> int:
         return int((np.abs(found.uv[:, 0] - 49.5) > 4).sum())

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import p2o
 import pytest
-from p2o_baselines.edges.gmm import Gmm, Mixture, mixtures, scattered
+from p2o_baselines.edges.gmm import Gmm, mixtures, scattered
 from p2o_testing import stage
 
 
@@ -30,24 +28,6 @@ def test_the_pictures_are_the_sums_over_all_pairs() -> None:
         count = max(scattered((80, 80), uv, np.ones(40))[max(v - 9, 0) : v + 10, max(u - 9, 0) : u + 10].sum(), 1)
         assert first[v, u] == pytest.approx(bare.sum() / count, rel=0.05)
         assert second[v, u] == pytest.approx(bare @ weight / count, rel=0.05)
-
-
-def test_equal_weights_of_the_image_are_the_special_case_of_unequal_ones() -> None:
-    view, truth = stage.view(), stage.camera_from_lidar()
-    weight = np.full(len(view.image_edges), 0.5)
-    weight[0] += 1e-12
-    near = [
-        replace(view, image=view.image.having(replace(view.image_edges, weight=w))) for w in (weight, weight.round(6))
-    ]
-    parts = [Mixture.of([v], truth, 2.0) for v in near]
-    assert [len(p.parts) for p in parts] == [2, 1]
-    poses = p2o.se3.exp(np.array([[0, 0, 0, 0, 0, 0], [0.01, 0.02, 0, 0, 0.1, 0]])) @ truth
-    first, second = (p.cost(poses) for p in parts)
-    assert np.argmin(first) == np.argmin(second) == 0
-    # Means are taken over the weights of both pictures: 1 + 0.5 of one edge against their mean in one picture.
-    np.testing.assert_allclose(
-        first * sum(p.weight.sum() for p in parts[0].parts), second * parts[1].parts[0].weight.sum()
-    )
 
 
 def test_the_width_shrinks_with_the_reach_down_to_its_limit() -> None:

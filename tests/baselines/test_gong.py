@@ -7,7 +7,7 @@ import pytest
 from p2o import Status, pose_error, se3
 from p2o.arrays import Float
 from p2o_baselines.boards import adjustment
-from p2o_baselines.bodies.box_in_picture import Line, flat_at, intersection
+from p2o_baselines.bodies.box_in_picture import Line, flat_at
 from p2o_baselines.bodies.box_in_sweep import Face
 from p2o_baselines.bodies.bundle import adjusted
 from p2o_baselines.bodies.trihedron import TrihedronInPicture, of_faces
@@ -74,18 +74,6 @@ def corners(count: int, noise_px: float = 0.0, noise_m: float = 0.0, seed: int =
         at, ways = any_corner(100 * seed + number)
         out.append(Corner(number, seen(at, ways, noise_px, rng), scanned(at, ways, noise_m, rng)))  # type: ignore[arg-type]
     return out
-
-
-def test_lines_meet_in_a_point_whose_covariance_is_that_of_their_errors() -> None:
-    lines = [
-        Line(np.array([1.0, 0.0]), np.array([1.0, 0.0]), 0.3, 0.0),
-        Line(np.array([4.0, 5.0]), np.array([0.0, 1.0]), 0.4, 0.0),
-    ]
-    place = intersection(lines)
-    assert place is not None
-    assert place[0] == pytest.approx([4.0, 0.0])
-    assert place[1] == pytest.approx(np.diag([0.4**2, 0.3**2]) + np.eye(2) * 0.05**2)
-    assert intersection([lines[0], Line(np.zeros(2), np.array([1.0, 0.05]), 0.1, 0.0)]) is None
 
 
 @pytest.mark.parametrize("count", [2, 5])

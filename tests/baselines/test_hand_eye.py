@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import p2o
 import pytest
-from p2o.cli import main
 from p2o.solving import Doubt
 from p2o_baselines.motion import corner_depths, hand_eye
 from p2o_baselines.motion import moments as drives
@@ -49,6 +48,11 @@ def test_stretches_end_where_time_is_missing_and_where_a_drive_ends() -> None:
     ]
 
 
+def lost(*_: object) -> None:
+    """Stand in for an odometry that fails."""
+    raise p2o.InputError("sweeps 3 and 4 of the sequence do not fit together")
+
+
 @pytest.mark.parametrize(
     ("period_s", "status", "reason"),
     [
@@ -56,19 +60,13 @@ def test_stretches_end_where_time_is_missing_and_where_a_drive_ends() -> None:
         (0.1, p2o.Status.NOT_OBSERVABLE, "is static"),
     ],
 )
-def test_frames_far_apart_and_a_rig_that_stands_still_are_refused(
-    period_s: float, status: p2o.Status, reason: str
+def test_frames_far_apart_a_rig_that_stands_still_and_sweeps_that_do_not_fit_are_refused(
+    period_s: float, status: p2o.Status, reason: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     frames = [moment(number, time_s=period_s * number) for number in range(8)]
     result = method(lidar="given").solve(frames, TRUTH)
     assert result.status is status
     assert re.search(reason, result.reason)
-
-
-def test_sweeps_that_do_not_fit_together_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    def lost(*_: object) -> None:
-        raise p2o.InputError("sweeps 3 and 4 of the sequence do not fit together")
-
     monkeypatch.setattr(drives, "lidar_poses", lost)
     result = method().solve([moment(number) for number in range(8)], TRUTH)
     assert result.status is p2o.Status.TOO_FEW_MATCHES
@@ -212,8 +210,3 @@ def test_it_hands_its_result_to_the_matcher(drive: list[p2o.Frame]) -> None:
     error = p2o.pose_error(result.camera_from_lidar, truth)
     assert error.rotation_deg < 1.5
     assert error.translation_m < 0.4
-
-
-def test_a_frame_of_no_drive_has_no_motion_to_start_from(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["run", "--init", "hand-eye", "--extractor", "canny/rings", "--matcher", "nearest"]) == 2
-    assert "the frame has no frame-time; hand-eye needs it" in capsys.readouterr().err

@@ -47,13 +47,9 @@ def test_only_the_near_side_of_a_jump_counts() -> None:
     rows, jump = ring_jumps(ring_of([9.0, 9.0, 5.0, 5.1, 5.0, 7.0]), 0.3, 0.6)
     assert rows.tolist() == [2, 4]
     np.testing.assert_allclose(jump, [4.0, 2.0])
-
-
-def test_a_missing_return_makes_no_jump_and_rings_are_closed() -> None:
     gap = ring_of([9.0] * 20 + [7.0] * 5 + [5.0] * 20).select(np.r_[0:20, 25:45])
-    assert len(ring_jumps(gap, 0.3, 0.6)[0]) == 0
-    ring = ring_of([5.0] * 1799 + [9.0])
-    assert sorted(ring_jumps(ring, 0.3, 0.6)[0]) == [0, 1798]
+    assert len(ring_jumps(gap, 0.3, 0.6)[0]) == 0, "a missing return"
+    assert sorted(ring_jumps(ring_of([5.0] * 1799 + [9.0]), 0.3, 0.6)[0]) == [0, 1798], "rings are closed"
 
 
 def test_points_along_a_line_are_kept_and_those_of_a_cloud_are_not() -> None:

@@ -185,12 +185,3 @@ def test_knn_line_asks_for_the_same_direction(monkeypatch: pytest.MonkeyPatch) -
     assert len(match([crossed], truth, 15.0)) == 0
     monkeypatch.setattr(knn_line, "_MAX_ANGLE_DEG", 90.0)
     assert len(match([crossed], truth, 15.0)) > 20
-
-
-def test_cloud_edges_of_one_pixel_are_one() -> None:
-    view, truth = stage.view().without_sides(), stage.camera_from_lidar()
-    twice = view.cloud_edges.select(np.repeat(np.arange(len(view.cloud_edges)), 2))
-    one = knn_line.one_a_pixel(view, truth)
-    two = knn_line.one_a_pixel(p2o.View("2", view.camera, view.image, view.cloud.having(twice)), truth)
-    assert len(one) == len(two) <= len(view.cloud_edges)
-    np.testing.assert_allclose(one.xyz, two.xyz)

@@ -76,22 +76,6 @@ def test_turns_that_leave_a_box_alike_leave_its_corners_in_place(size: tuple[flo
     assert len({tuple(turn.ravel().round(6)) for turn in turns}) == count
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_the_outline_of_a_box_is_the_hull_of_its_corners(seed: int) -> None:
-    import cv2
-
-    pose = corner_on(1, seed)[0]
-    corner = near_corner(se3.inverse(pose)[:3, 3], SIZE)
-    assert corner is not None
-    uv = CAMERA.project(se3.apply(pose, CUBOID.outline))
-    hull = cv2.convexHull(uv.astype(np.float32), returnPoints=False).ravel().tolist()
-    ring = around(corner)[0]
-    first = hull.index(ring[0])
-    turned = hull[first:] + hull[:first]
-    assert ring in (turned, [turned[0], *turned[:0:-1]])
-    assert np.linalg.norm(se3.apply(pose, CUBOID.outline), axis=1).argmin() == corner
-
-
 @pytest.mark.parametrize("count", [1, 4])
 def test_boxes_without_noise_give_the_pose_exactly(count: int) -> None:
     result = solved(sights(corner_on(count)))

@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 from p2o import Registry
 from p2o.cli import main
-from p2o.run.presets import presets
 from p2o_study.report import write_report
 from p2o_study.rows import Rows
 from p2o_study.study import check_study, find_study
@@ -24,17 +23,6 @@ def registry() -> Registry:
 @pytest.mark.parametrize("name", [*STUDIES, "motion", "motion-drive", "motion-long", "learned"])
 def test_every_row_fits_together(name: str, registry: Registry) -> None:
     assert check_study(find_study(name, registry), registry)
-
-
-@pytest.mark.parametrize("name", [*STUDIES, "families"])
-def test_rows_have_the_label_of_their_method_which_names_what_is_missing(name: str, registry: Registry) -> None:
-    by_matcher = {preset.words["matcher"]: preset.label for preset in presets(registry).values() if preset.label}
-    by_matcher.pop("ogm", None)  # the label of the method `paper`, of which these studies have no row
-    assert "without SAM" in by_matcher["mask-consistency"]
-    rows = [row for row in check_study(find_study(name, registry), registry) if not row.words.get("calibrator")]
-    labels = {row.label: by_matcher[row.words["matcher"]] for row in rows if row.words["matcher"] in by_matcher}
-    assert len(labels) > 3
-    assert [label for label, begin in labels.items() if not label.startswith(begin)] == []
 
 
 def test_every_matcher_of_the_baselines_is_among_them(registry: Registry) -> None:

@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 from p2o import se3
-from p2o_rig.contradictions import _loops, consistent
+from p2o_rig.contradictions import consistent
 from p2o_rig.sensor_graph import EdgeKind, solve
 
 from tests.p2o_rig.random_rigs import displaced, measured, random_covariance, random_rig
@@ -95,20 +95,6 @@ def test_a_camera_with_two_edges_loses_its_pose_and_all_others_keep_theirs() -> 
     [one] = graph.contradictions
     assert {edge.name for edge in one.edges} == {"camera1-lidar0 (result)", "camera1-lidar1 (result)"}
     assert set(graph.solution.poses) == set(rig.truth) - {"camera1"}
-
-
-def test_the_loops_of_an_edge_are_none_for_a_bridge_and_the_same_for_edges_in_series() -> None:
-    rng = np.random.default_rng(13)
-    rig = random_rig(rng, 2, 2)
-    truth = {**rig.truth, "far": rig.truth["camera0"]}
-    bridge = measured(truth, "lidar1", "far", random_covariance(rng, 0.1, 0.01), EdgeKind.KNOWN, rng)
-    loops = {edge.name: number for edge, number in _loops([*rig.edges, bridge], "lidar0").items()}
-    graph = consistent([*rig.edges, bridge], "lidar0")
-    assert bridge.name not in graph.checks
-    assert "far" in graph.solution.poses
-    assert loops[bridge.name] == 0
-    assert loops["camera0-lidar0 (result)"] == loops["camera0-lidar1 (result)"] != 0
-    assert len(set(loops.values())) == 4, "two cameras, the sweeps and the bridge"
 
 
 def test_fifteen_wrong_edges_of_many_are_found_one_by_one_in_seconds() -> None:

@@ -11,7 +11,6 @@ from p2o_pages.pick.range_image import (
     LAYERS,
     RangeImage,
     Sector,
-    bearing_angle,
     bearing_angles,
     range_image,
     sector_of,
@@ -93,16 +92,6 @@ def test_the_nearest_filled_pixel_is_found_within_reach() -> None:
     assert found.nearest(8, 3) == (9, 3)
     assert found.nearest(5, 4) is None, "two rows are six columns"
     assert found.nearest(15, 2) is None
-
-
-def test_bearing_angles_are_those_of_the_triangle() -> None:
-    """Seen from the neighbour's beam: a right angle on a wall that stands across it, 45 deg on one that leans so."""
-    angle = np.radians(0.2)
-    across = bearing_angle(np.array(10.0), np.array(10.0 / np.cos(angle)), np.array(np.cos(angle)))
-    assert np.degrees(across) == pytest.approx(90.0)
-    slant = 10 * np.sin(np.pi / 4) / np.sin(3 * np.pi / 4 - angle)
-    leaning = bearing_angle(np.array(10.0), np.array(slant), np.array(np.cos(angle)))
-    assert np.degrees(leaning) == pytest.approx(45.0)
 
 
 def test_a_corner_shows_in_bearing_angles_and_a_wall_does_not() -> None:
