@@ -25,7 +25,7 @@ from p2o_study.report.figures import convergence_of, figures_of
 from p2o_study.report.worst import outcome_text, worst_run
 from p2o_study.row import Row
 from p2o_study.rows import PlanRow
-from p2o_study.statistics import Statistics, interval
+from p2o_study.statistics import Statistics, _statistics, interval
 from p2o_study.study import Published, parse_study
 from p2o_study.summary import Summary, summarised
 from p2o_study.tables import report_latex, report_markdown

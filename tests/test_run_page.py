@@ -16,7 +16,7 @@ from p2o.draw.overlay import brightened, display_gamma
 from p2o.host.calibration_file import read_initial_guess
 from p2o.results.advice import BY_DOUBT, BY_STATUS, next_steps
 from p2o.results.result_json import result_from_dict
-from p2o.results.verdict import Doubt, Reason, Verdict
+from p2o.results.verdict import Doubt
 
 from tests.page_description import blocks, column, description, table, texts
 
@@ -178,16 +178,6 @@ def test_what_belongs_to_studies_is_refused_for_a_run(quick: Path, capsys: pytes
 def test_every_doubt_and_every_refusal_has_an_advice() -> None:
     assert set(BY_DOUBT) == set(Doubt)
     assert set(BY_STATUS) == {status for status in p2o.Status if not status.solved}
-    result = p2o.Result(
-        ("a",),
-        np.eye(4),
-        np.eye(4),
-        p2o.Status.CONVERGED,
-        "",
-        verdict=Verdict((Reason(Doubt.RIVAL_POSE, "two"), Reason(Doubt.TOO_UNSURE, "wide"))),
-    )
-    steps = next_steps(result)
-    assert len(steps) == len(set(steps)) >= 3
 
 
 def test_a_dark_picture_is_brightened_by_a_gamma_that_is_told_and_a_bright_one_is_not() -> None:
