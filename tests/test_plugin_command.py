@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import resource
-import shlex
 import subprocess
 import sys
 import tomllib
@@ -139,14 +137,3 @@ def test_it_says_what_it_wrote_and_what_to_do_next_and_leaves_a_folder_that_is_t
         assert path.is_dir() or str(path.relative_to(tmp_path / "acme-edges")) in out
     assert "p2o run --plugin src/acme_edges/plugin.py --extractor canny/acme-edges --matcher nearest" in out
     assert 'pip install -e ".[test]"' in out
-
-
-@pytest.mark.system
-@pytest.mark.parametrize("slot", [slot for slot in SLOTS if slot not in ("dataset", "calibration-reader")])
-def test_the_first_command_takes_a_few_seconds(slot: str, tmp_path: Path) -> None:
-    plugin = NewPlugin("acme-thing", SLOTS[slot])
-    words = shlex.split(plugin.tried)[1:]
-    before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
-    subprocess.run([sys.executable, "-m", "p2o", *words], cwd=plugin.write(tmp_path), check=True, capture_output=True)
-    # 3 to 4 s on an idle machine, where the matcher's took 45 s with a solver that asks for one pose at a time.
-    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before < 10

@@ -211,22 +211,6 @@ def test_another_rig_is_another_day_and_another_drive_a_drive(tmp_path: Path) ->
         np.testing.assert_allclose(again.camera_from_lidar, own.camera_from_lidar, atol=1e-12)
 
 
-def test_the_vkitti2_layout_keeps_pictures_camera_depth_in_centimetres_and_masked_pixels(tmp_path: Path) -> None:
-    frame = staged()
-    assert written("vkitti2", tmp_path, frame, frame) == ["Scene01/clone/00000", "Scene01/clone/00001"]
-    again = read("vkitti2", tmp_path)[1]
-    np.testing.assert_array_equal(again.image.rgb, frame.image.rgb)
-    np.testing.assert_array_equal(again.image.right, frame.image.right)
-    np.testing.assert_array_equal(again.image.masked, frame.image.masked)
-    assert again.camera == frame.camera
-    assert again.image.baseline_m == pytest.approx(frame.image.baseline_m, abs=1e-9)
-    for values in (np.isinf, np.isnan):
-        np.testing.assert_array_equal(values(again.image.depth_m), values(frame.image.depth_m))
-    known = np.isfinite(frame.image.depth_m)
-    assert np.abs(again.image.depth_m[known] - frame.image.depth_m[known]).max() <= 0.005 + 1e-9
-    assert (tmp_path / "Scene01/clone/colors.txt").read_text().startswith("Category r g b\nTerrain 210 0 200\n")
-
-
 @pytest.mark.parametrize(
     ("layout", "change", "text"),
     [

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from p2o import Camera, Checkerboard, Cloud, Frame, Image, se3
+from p2o import Camera, Checkerboard, Cloud, Frame, Image, pose_error, se3
 from p2o.arrays import Float
 from p2o_baselines.boards.board_in_picture import BoardInPicture, refined
 from p2o_baselines.boards.board_in_sweep import BoardInSweep
@@ -17,6 +17,13 @@ TRUTH = se3.exp(np.array([0.03, -0.02, 0.01, 0.0, 0.0, 0.0])) @ se3.make(
     np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]), [0.1, -0.2, 0.05]
 )
 AWAY = se3.exp(np.array([0.06, -0.05, 0.04, 0.1, -0.1, 0.1])) @ TRUTH
+
+
+def assert_near(camera_from_lidar: Float, angle_deg: float, distance_m: float, truth: Float = TRUTH) -> None:
+    """Fail for a pose that is farther from the truth."""
+    error = pose_error(camera_from_lidar, truth)
+    assert error.rotation_deg < angle_deg
+    assert error.translation_m < distance_m
 
 
 def poses(count: int, seed: int = 0) -> list[Float]:

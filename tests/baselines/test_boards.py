@@ -24,6 +24,7 @@ from tests.baselines.board_scene import (
     CAMERA,
     FISHEYE,
     TRUTH,
+    assert_near,
     frame,
     in_picture,
     in_sweep,
@@ -48,9 +49,7 @@ def solved(method: str, seen: list[Sight], start: Float = AWAY) -> Result:
 @pytest.mark.parametrize(("method", "count"), [(zhou, 1), (zhou, 4), (koo, 4), (mirzaei, 4)])
 def test_closed_forms_recover_the_pose_of_boards_without_noise(method: object, count: int) -> None:
     found = method.closed(pairs(poses(count)), AWAY)  # type: ignore[attr-defined]
-    error = pose_error(found, TRUTH)
-    assert error.rotation_deg < 1e-5
-    assert error.translation_m < 1e-6
+    assert_near(found, 1e-5, 1e-6)
 
 
 def test_three_boards_and_pieces_give_the_pose_of_their_combination() -> None:
@@ -75,9 +74,7 @@ def test_boards_without_noise_are_solved_to_the_truth_from_any_start(method: str
     far = se3.exp(np.array([0.5, -0.4, 0.3, 0.5, -0.5, 0.4])) @ TRUTH
     result = solved(method, sights(poses(5)), far)
     assert result.status is Status.CONVERGED, result.reason
-    error = pose_error(result.camera_from_lidar, TRUTH)
-    assert error.rotation_deg < 1e-4
-    assert error.translation_m < 1e-5
+    assert_near(result.camera_from_lidar, 1e-4, 1e-5)
     assert result.matches["boards"] == 5
     assert result.accuracy is not None
     assert result.covariance is not None
@@ -239,10 +236,8 @@ def test_drawn_frames_are_calibrated_from_picture_and_sweep() -> None:
     for name in METHODS:
         result = solved(name, prepared)
         assert result.status is Status.CONVERGED, f"{name}: {result.reason}"
-        error = pose_error(result.camera_from_lidar, TRUTH)
         # Ranges off by 1.5 cm over some 300 points a board: tilts of 0.2 deg, of which six average to 0.1.
-        assert error.rotation_deg < 0.4, name
-        assert error.translation_m < 0.03, name
+        assert_near(result.camera_from_lidar, 0.4, 0.03)
 
 
 @pytest.mark.skipif(not ACFR.is_dir(), reason=f"{ACFR} is not there")
@@ -257,7 +252,5 @@ def test_boards_of_a_fisheye_and_a_vlp16_are_found_and_calibrated() -> None:
     assert truth is not None
     result = stage.solve(prepared, se3.exp(np.array([0.1, -0.1, 0.1, 0.1, 0.1, 0.1])) @ truth)
     assert result.matches["boards"] == 4
-    error = pose_error(result.camera_from_lidar, truth)
     # The reference is good to 0.3 deg and 2 cm, four boards to some 0.5 deg and 2 cm: three of both together.
-    assert error.rotation_deg < 1.75
-    assert error.translation_m < 0.085
+    assert_near(result.camera_from_lidar, 1.75, 0.085, truth)

@@ -15,7 +15,7 @@ from p2o_baselines.target_method import Sight
 from p2o_baselines.targets import kuemmerle
 from p2o_baselines.targets.kuemmerle import paired_spheres
 
-from tests.baselines.board_scene import AWAY, CAMERA, FISHEYE, TRUTH
+from tests.baselines.board_scene import AWAY, CAMERA, FISHEYE, TRUTH, assert_near
 from tests.baselines.body_scene import BALL, frame, picture, sweep
 
 RADIUS = BALL.radius_m
@@ -95,9 +95,7 @@ def test_three_balls_without_noise_give_the_pose_exactly_from_any_start() -> Non
     far = se3.exp(np.array([1.5, -0.8, 1.0, 1.0, -1.0, 2.0])) @ TRUTH
     result = solved(sights(PLACES[:3]), far)
     assert result.status is Status.CONVERGED, result.reason
-    error = pose_error(result.camera_from_lidar, TRUTH)
-    assert np.radians(error.rotation_deg) < 1e-6
-    assert error.translation_m < 1e-6
+    assert_near(result.camera_from_lidar, np.degrees(1e-6), 1e-6)
     assert result.matches["spheres"] == 3
 
 
@@ -184,9 +182,7 @@ def test_drawn_frames_are_calibrated_from_picture_and_sweep() -> None:
     prepared = [method.prepare(frame(k, PLACES[k : k + 2], BALL)) for k in (0, 2)]
     result = method.solve(prepared, AWAY)
     assert result.status is Status.CONVERGED, result.reason
-    error = pose_error(result.camera_from_lidar, TRUTH)
     # Middles to 3 mm in the sweep and 0.1 px in the picture, 2 m apart: 0.1 deg; three of that.
-    assert error.rotation_deg < 0.3
-    assert error.translation_m < 0.02
+    assert_near(result.camera_from_lidar, 0.3, 0.02)
     wrong = [method.prepare(replace(frame(k, PLACES[k : k + 2], BALL), targets=(Sphere(0.5),))) for k in (0, 2)]
     assert not method.solve(wrong, AWAY).status.solved

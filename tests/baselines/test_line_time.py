@@ -122,19 +122,6 @@ def test_the_deviation_is_that_of_many_drives() -> None:
     assert 0.4 < np.sqrt(np.mean(np.square(off))) < 2.0
 
 
-def test_steps_that_are_not_known_are_left_out() -> None:
-    whole = drive(0.05)
-    steps: list[np.ndarray | None] = [
-        p2o.se3.exp(np.concatenate([turn, np.zeros(3)]))[:3, :3]
-        for turn, (first, last) in zip(whole.turn, whole.steps, strict=True)
-        if first == last
-    ]
-    steps[20] = None
-    found = delay_of([Drive.of(whole.pose_s, steps, whole.world_from_lidar, span_s=0.5)], ALONG)
-    assert found.steps == delay_of([whole], ALONG).steps - 1
-    assert found.delay_s == pytest.approx(0.05, abs=0.002)
-
-
 # ---- the whole method
 
 

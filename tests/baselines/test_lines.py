@@ -103,23 +103,6 @@ def test_derivatives_of_lines_are_those_of_their_residuals() -> None:
     np.testing.assert_allclose(jacobian, differences, rtol=1e-6, atol=1e-5)
 
 
-def test_a_direction_residual_is_how_far_the_ends_are_off() -> None:
-    """Turned about its middle, a line far away has no offset, and its ends are off by the residual."""
-    camera, far = stage.camera(), np.array([[[100.0, 0.0, -1.0], [100.0, 0.0, 1.0]]])
-    truth = stage.camera_from_lidar()
-    uv = camera.project(p2o.se3.apply(truth, far[0]))[None]
-    turned = far.copy()
-    turned[0, :, 1] = [-0.05, 0.05]
-    view = p2o.View(
-        "one", camera, p2o.ImageFeatures(features=[ImageLines(uv)]), p2o.CloudFeatures(features=[CloudLines(turned)])
-    )
-    problem = lines.build(lines.METHOD.options())([view], truth, 10.0)
-    offset, direction = np.abs(problem.residuals(truth))
-    moved = camera.project(p2o.se3.apply(truth, turned[0])) - uv[0]
-    assert offset == pytest.approx(0.0, abs=1e-3)
-    assert direction == pytest.approx(np.abs(moved[0, 0]), rel=0.02)
-
-
 def test_lines_that_run_another_way_or_lie_beyond_are_not_paired() -> None:
     near = np.array([[[10.0, 10.0], [10.0, 50.0]]])
     level, beyond, beside = np.array([[[8.0, 30], [12, 30]], [[10, 70], [10, 90]], [[12, 20], [12, 40]]])

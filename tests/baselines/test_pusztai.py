@@ -21,7 +21,7 @@ from p2o_baselines.bodies.box_in_sweep import (
 from p2o_baselines.target_method import Sight
 from p2o_baselines.targets import pusztai
 
-from tests.baselines.board_scene import AWAY, CAMERA, FISHEYE, TRUTH
+from tests.baselines.board_scene import AWAY, CAMERA, FISHEYE, TRUTH, assert_near
 from tests.baselines.body_scene import CUBOID, corner_on, frame, picture, sweep
 
 SIZE = CUBOID.size_m
@@ -80,9 +80,7 @@ def test_turns_that_leave_a_box_alike_leave_its_corners_in_place(size: tuple[flo
 def test_boxes_without_noise_give_the_pose_exactly(count: int) -> None:
     result = solved(sights(corner_on(count)))
     assert result.status is Status.CONVERGED, result.reason
-    error = pose_error(result.camera_from_lidar, TRUTH)
-    assert np.radians(error.rotation_deg) < 1e-6
-    assert error.translation_m < 1e-6
+    assert_near(result.camera_from_lidar, np.degrees(1e-6), 1e-6)
     assert result.matches["corners"] == 7 * count
 
 
@@ -201,7 +199,5 @@ def test_drawn_frames_are_calibrated_from_picture_and_sweep() -> None:
     prepared = [method.prepare(frame(k, [pose], CUBOID)) for k, pose in enumerate(corner_on(2, 3))]
     result = method.solve(prepared, AWAY)
     assert result.status is Status.CONVERGED, result.reason
-    error = pose_error(result.camera_from_lidar, TRUTH)
     # Corners by some hundred points a face off by 1.5 cm: 3 mm each, so 0.2 deg over a box.
-    assert error.rotation_deg < 0.5
-    assert error.translation_m < 0.03
+    assert_near(result.camera_from_lidar, 0.5, 0.03)

@@ -234,22 +234,6 @@ def test_losses_of_geometry_are_least_at_the_truth(loss: str) -> None:
     assert right < 0.3 * none
 
 
-def test_neighbours_of_a_window_have_one_extrinsic_that_fits_their_motions() -> None:
-    rng = np.random.default_rng(12)
-    batch = lessons_batch(window=2)
-    said = batch.correction.clone()
-    extrinsic = (said @ batch.start)[0].numpy().astype(float)
-    lidar = some_pose(rng, 0.1)
-    motion = np.stack([extrinsic @ lidar @ np.linalg.inv(extrinsic), lidar])
-    batch = replace(batch, hand_eye=torch.from_numpy(np.stack([motion] * 4)).float())
-    assert float(losses.same_rig(said, batch)) < 1e-2
-    # Both neighbours wrong alike: one rig, but not one that moves as the sensors did.
-    wrong = tensor(some_pose(rng, 0.05, 0.1)).float() @ said
-    assert float(losses.same_rig(wrong, batch)) > 0.1
-    unknown = replace(batch, hand_eye=torch.full((4, 2, 4, 4), float("nan")))
-    assert float(losses.same_rig(wrong, unknown)) < 1e-2
-
-
 # ---- networks
 
 
