@@ -7,7 +7,7 @@ import math
 import re
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -580,15 +580,6 @@ def test_progress_is_shown_on_a_terminal_alone_and_not_when_quiet(
 # ---- what can be wrong
 
 
-def refused(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
-    """Return the one line that a command is refused with."""
-    assert main(words) == 2
-    captured = capsys.readouterr()
-    [line] = captured.err.splitlines()
-    assert captured.out == ""
-    return line
-
-
 def test_a_study_without_runs_is_named(tmp_path: Path) -> None:
     write_store(tmp_path, [], missing=[PlanRow("ours", "", "kitti", ("key",))])
     with pytest.raises(InputError, match=r"study 'table2' has no finished run yet.*p2o ablate table2"):
@@ -621,12 +612,12 @@ def test_a_store_or_data_that_do_not_fit_are_one_line_before_any_page(
     words: list[str],
     message: str,
     tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    refused: Callable[..., str],
 ) -> None:
     if values is not None:
         others = [] if "dataset" not in values else [run_of("other", "f", 0, 1.0, 0.1, dataset="two")]
         write_store(tmp_path / "store", [*staged(**({} if others else values)), *others])
-    line = refused(["report", str(tmp_path / "store"), "--plugin", PLUGIN, *words], capsys)
+    line = refused(["report", str(tmp_path / "store"), "--plugin", PLUGIN, *words])
     assert message in line
     assert not (tmp_path / "store" / "report" / "report.html").exists()
     assert (tmp_path / "store").exists() == (values is not None)

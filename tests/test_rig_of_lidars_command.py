@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -174,17 +175,14 @@ def test_wrong_files_end_with_one_line(
     sensors: dict[str, Any],
     truth: dict[str, Float],
     tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    refused: Callable[..., str],
 ) -> None:
     write_results(tmp_path / "no-camera.json", [("", exact(truth, "front", "top"))])
     broken = {**result_to_dict(exact(truth, "front", "top")), "camera": "front"}
     broken["camera_from_lidar"] = np.diag([1.0, 1.0, -1.0, 1.0]).tolist()
     (tmp_path / "broken.json").write_text(json.dumps(broken))
     (tmp_path / "text.json").write_text("no JSON")
-    assert main(["rig", str(write_sensors(tmp_path / "sensors.yaml", {**sensors, **change}))]) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
-    assert error.startswith("p2o: error: ")
+    error = refused(["rig", str(write_sensors(tmp_path / "sensors.yaml", {**sensors, **change}))])
     assert re.search(message, error), error
 
 

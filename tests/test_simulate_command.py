@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -303,17 +304,15 @@ def test_a_folder_in_use_is_left_alone_unless_forced(tmp_path: Path, capsys: pyt
     ],
 )
 def test_wrong_words_are_refused_before_anything_is_written(
-    tmp_path: Path, words: list[str], text: str, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, words: list[str], text: str, refused: Callable[..., str]
 ) -> None:
-    assert main(["simulate", str(tmp_path / "out"), *words]) == 2
-    assert text in capsys.readouterr().err
+    assert text in refused(["simulate", str(tmp_path / "out"), *words])
     assert not (tmp_path / "out").exists()
 
 
-def test_a_place_that_cannot_be_written_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_place_that_cannot_be_written_is_named(tmp_path: Path, refused: Callable[..., str]) -> None:
     (tmp_path / "file").write_text("")
     for out in (tmp_path / "file", tmp_path / "file" / "below"):
-        assert main(["simulate", str(out), "--layout", "folder", *SMALL]) == 2
-        error = capsys.readouterr().err
+        error = refused(["simulate", str(out), "--layout", "folder", *SMALL])
         assert "cannot write the data set" in error
         assert str(tmp_path / "file") in error

@@ -10,7 +10,7 @@ import socket
 import subprocess
 import sys
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from http.client import HTTPConnection
 from importlib.metadata import version
 from pathlib import Path
@@ -266,23 +266,20 @@ def test_a_folder_of_a_run_shows_where_it_began_and_ended(tmp_path: Path, monkey
     ],
 )
 def test_a_folder_whose_run_cannot_be_read_is_told(
-    content: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    content: str, said: str, tmp_path: Path, refused: Callable[..., str]
 ) -> None:
     (tmp_path / "run.json").write_text(content)
-    assert main(view(tmp_path, str(tmp_path))) == 2
-    [line] = capsys.readouterr().err.splitlines()
-    assert said in line
+    assert said in refused(view(tmp_path, str(tmp_path)))
 
 
 def test_a_run_of_frames_of_python_asks_where_they_are(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
 ) -> None:
     import p2o
 
     run = p2o.calibrate(FRAME, calibrator="spy", witness="none", registry=p2o.Registry.load(extra_files=[STAGE]))
     (tmp_path / "run.json").write_text(json.dumps(run.as_dict()))
-    assert main(view(tmp_path, str(tmp_path))) == 2
-    assert f"p2o view DATASET:PATH --run {tmp_path}" in capsys.readouterr().err
+    assert f"p2o view DATASET:PATH --run {tmp_path}" in refused(view(tmp_path, str(tmp_path)))
     session = opened_session(monkeypatch, view(tmp_path, "fake:", "--run", str(tmp_path)))
     assert session.result is None, "no frame of these data is called as the one of the run"
 
@@ -306,21 +303,16 @@ def test_frames_without_any_start_are_looked_at_from_a_guess(tmp_path: Path, mon
         (["fake:", "--run", "nowhere"], "run.json"),
         (["fake:", "--start", "none.yaml"], "none.yaml"),
         (["fake:", "--host", "no.such.host.example"], "the port cannot be used"),
+        (["fake:", "--port", "{taken}"], "127.0.0.1:{taken}: the port cannot be used"),
     ],
 )
 def test_wrong_words_are_one_clear_line(
-    words: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: list[str], said: str, tmp_path: Path, refused: Callable[..., str]
 ) -> None:
-    assert main(view(tmp_path, *words)) == 2
-    [line] = capsys.readouterr().err.splitlines()
-    assert said in line
-
-
-def test_a_port_that_is_taken_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        assert main(view(tmp_path, "fake:", "--port", str(port))) == 2
-    assert f"127.0.0.1:{port}: the port cannot be used" in capsys.readouterr().err
+        port = str(taken.getsockname()[1])
+        line = refused(view(tmp_path, *(word.format(taken=port) for word in words)))
+    assert said.format(taken=port) in line
 
 
 def test_without_viser_one_line_says_how_to_get_it(
