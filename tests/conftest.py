@@ -83,7 +83,7 @@ def plain_environment(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def refused(capsys: pytest.CaptureFixture[str]) -> Callable[[Sequence[str]], str]:
-    """Return what runs a command that has to be refused: status 2, no output, and one line of error, which it returns."""
+    """Return what runs a command that is to be refused, with status 2, no output and one line of error: the line."""
     from p2o.cli import main
 
     def line(words: Sequence[str]) -> str:
