@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from p2o import InputError, Registry, UnknownNameError
+from p2o import InputError, Registry
 from p2o.cli import main
 from p2o.page.plot import Panel
 from p2o.results.figures import figure_lines
@@ -565,18 +565,6 @@ def test_progress_names_each_frame_and_figure_in_turn(tmp_path: Path) -> None:
     assert told == [*frames, *titles]
 
 
-@pytest.mark.usefixtures("blank_figures")
-def test_progress_is_shown_on_a_terminal_alone_and_not_when_quiet(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    write_store(tmp_path, table2(1, 1))
-    for terminal, words, some in ((True, [], True), (True, ["--quiet"], False), (False, [], False)):
-        with monkeypatch.context() as patch:
-            patch.setattr(sys.stderr, "isatty", lambda terminal=terminal: terminal)
-            assert main(["report", str(tmp_path), *words]) == 0
-        assert ("drawing" in capsys.readouterr().err) is some, (terminal, words)
-
-
 # ---- what can be wrong
 
 
@@ -604,6 +592,7 @@ MISSING = "2 of 3 frames of dataset 'fake' are missing from the data; expected d
         ({}, ["--study", "tabel2"], "unknown study 'tabel2'; expected one of: table2; did you mean table2?"),
         ({}, ["--data", "fake:?frames=1"], MISSING),
         ({"contents": {}}, ["--data", "fake:?frames=3"], "this frame differs from that of the study"),
+        ({}, ["--data", "fak=fake:"], "expected one of: fake"),
         ({"dataset": "two"}, ["--data", "fake:"], "NAME=DATASET:PATH with a NAME of fake, two"),
     ],
 )
@@ -621,13 +610,6 @@ def test_a_store_or_data_that_do_not_fit_are_one_line_before_any_page(
     assert message in line
     assert not (tmp_path / "store" / "report" / "report.html").exists()
     assert (tmp_path / "store").exists() == (values is not None)
-
-
-@pytest.mark.parametrize("text", ["streets=fake:", "fak=fake:"])
-def test_a_dataset_that_no_study_has_is_told(text: str, tmp_path: Path) -> None:
-    write_store(tmp_path, staged())
-    with pytest.raises(UnknownNameError, match="expected one of: fake"):
-        write_report(tmp_path, data=[text])
 
 
 @pytest.mark.usefixtures("blank_figures")

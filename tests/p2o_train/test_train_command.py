@@ -93,14 +93,6 @@ def test_it_ends_with_the_weights_and_the_command_that_uses_them(
     assert (len(quiet.out.splitlines()), quiet.err) == (2, "")
 
 
-def test_an_interrupt_says_that_the_same_command_goes_on(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(Shown, "step", interrupted)
-    assert pupil(tmp_path) == 130
-    assert "same command continues" in capsys.readouterr().err
-
-
 def interrupted(self: Shown, progress: Any) -> None:
     raise KeyboardInterrupt
 
@@ -267,6 +259,7 @@ def test_a_broken_training_that_goes_on_gives_the_same_bits(
     with monkeypatch.context() as broken:
         broken.setattr(Shown, "step", interrupted)
         assert learn(tmp_path, made) == 130
+    assert "same command continues" in capsys.readouterr().err
     weights = tmp_path / "weights.safetensors"
     assert weights.read_bytes() != (trained / "weights.safetensors").read_bytes()
     # A kill between the log and the state leaves a line of a step that comes again.
