@@ -18,7 +18,6 @@ import pytest
 from p2o import InputError, Registry
 from p2o.cli import main
 from p2o.page.plot import Panel
-from p2o.results.figures import figure_lines
 from p2o.results.verdict import Trust
 from p2o_study.report import write_report
 from p2o_study.report.figures import convergence_of, figures_of
@@ -132,13 +131,6 @@ def test_coverage_of_predicted_errors_and_false_accepts_are_in_the_tables() -> N
     assert "Trusted: 2 runs" not in report_latex([summary])
     silent = [replace(run, figures={}) for run in runs]
     assert "| coverage 67 % |" not in markdown(summary_of(silent))
-
-
-def test_an_offset_in_time_is_among_the_evidence_of_a_run() -> None:
-    figures = {"time_offset_s": 0.0041, "time_sigma_s": 0.0012, "time_use": "corrected"}
-    line = ("time", "images later than their timestamps by +4.1 ms, sigma 1.2 ms, corrected")
-    assert line in figure_lines(figures)
-    assert "time" not in dict(figure_lines({}))
 
 
 def test_a_run_that_raised_or_is_not_there_makes_a_row_incomplete_and_one_without_truth_has_no_figures() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,15 +11,13 @@ import numpy as np
 import p2o
 import pytest
 import yaml
-from p2o import InputError, se3
+from p2o import se3
 from p2o.cli import main
 from p2o.errors import PluginError
 from p2o.results.result import RigResult
 from p2o.results.result_json import result_from_dict
-from p2o.run.outcome import Run
 from p2o.run.run import run
 from p2o_sim.synthetic import SyntheticOptions, truth_at
-from p2o_testing import stage
 
 from tests.page_description import blocks, description
 
@@ -39,15 +37,6 @@ def rig_file(tmp_path: Path) -> Path:
 def written(path: Path, cameras: dict[str, Any], **more: Any) -> Path:
     path.write_text(yaml.safe_dump({"cameras": cameras, **more}))
     return path
-
-
-def frames(*names: tuple[str, str]) -> Iterator[p2o.Frame]:
-    """Return frames of the conformance stage with these names and cameras."""
-    one = stage.frame()
-    for name, camera in names:
-        yield p2o.Frame(
-            name, one.image, one.cloud, camera_from_lidar=one.camera_from_lidar, twist=one.twist, camera_name=camera
-        )
 
 
 def test_two_cameras_of_a_rig_are_calibrated_each_and_in_common(
@@ -184,18 +173,3 @@ def test_a_camera_with_a_bad_frame_fails_and_the_others_are_calibrated(
 )
 def test_wrong_words_are_told_in_one_line(words: list[str], message: str, refused: Callable[..., str]) -> None:
     assert message in refused(["run", "--data", SEEN, *SPY, *words])
-
-
-def test_in_python_a_start_beside_a_rig_and_frames_that_name_no_camera_are_refused() -> None:
-    registry = p2o.Registry.load(extra_files=[PLUGIN])
-
-    def run(*names: tuple[str, str], **words: Any) -> Run:
-        return p2o.calibrate(list(frames(*names)), calibrator="spy", witness="none", registry=registry, **words)
-
-    assert [row.camera for row in run(("a", "L"), ("b", "R"), ("c", "L"), rig=True).rows] == ["L", "R"]
-    with pytest.raises(InputError, match="a start is of one camera, and a rig has several"):
-        run(("a", "L"), ("b", "R"), rig=True, start=np.eye(4))
-    with pytest.raises(InputError, match="frame b names no camera"):
-        run(("a", "L"), ("b", ""), rig=True)
-    with pytest.raises(InputError, match=r"frames of 2 cameras have no pose in common.*got none named, L"):
-        run(("a", "L"), ("b", ""), joint=True)
