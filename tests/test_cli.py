@@ -463,6 +463,7 @@ def test_a_closed_pipe_is_no_error() -> None:
     for words, line in (
         ("methods", "methods (p2o run --method NAME"),
         ("data list 'synthetic:?scenes=20000'", "scene-"),
+        ("doctor --quick --json", "{"),
     ):
         command = f"{sys.executable} -m p2o {words} | head -n 1"
         done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)

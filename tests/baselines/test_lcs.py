@@ -17,10 +17,10 @@ LINE, CIRCLE, SQUARE, CLUTTER = (
 """Rows and columns of the picture."""
 
 
-def image(grey: np.ndarray, masked: np.ndarray | None = None) -> p2o.Image:
+def image(grey: np.ndarray) -> p2o.Image:
     height, width = grey.shape
     rgb = np.repeat(grey[..., None], 3, axis=2).astype(np.uint8)
-    return p2o.Image(rgb, p2o.Camera.pinhole(100, 100, width / 2, height / 2, width, height), masked=masked)
+    return p2o.Image(rgb, p2o.Camera.pinhole(100, 100, width / 2, height / 2, width, height))
 
 
 def shown(*, clutter: bool = True) -> np.ndarray:
@@ -100,14 +100,3 @@ def test_three_sides_are_no_square() -> None:
     assert not lcs.shapes(pixels).any()
     pixels[20:36, 35] = True
     assert lcs.shapes(pixels).sum() == 60
-
-
-def test_masked_pixels_have_no_edges() -> None:
-    grey = shown(clutter=False)
-    masked = np.zeros(grey.shape, bool)
-    masked[LINE] = True
-    edges = lcs.METHOD.build(canny.CannyOptions())(image(grey, masked)).edges
-    assert len(edges) > 0
-    u, v = edges.uv.astype(int).T
-    assert not masked[v, u].any()
-    assert (edges.side == p2o.Side.NONE).all()
