@@ -94,13 +94,9 @@ def test_a_box_that_is_turned_to_itself_in_the_sweep_gives_the_same_pose() -> No
         assert solved(found).camera_from_lidar == pytest.approx(TRUTH, abs=1e-6)
 
 
-def test_of_the_ways_one_box_may_be_turned_the_start_takes_the_nearest_and_says_so() -> None:
+def test_boxes_that_are_turned_differently_leave_one_pose_from_the_start_of_another_turn() -> None:
     (box,) = corner_on(1)
     far = box @ symmetries(SIZE)[1] @ se3.inverse(box) @ TRUTH
-    assert np.linalg.norm(far[:3, 3]) < 3
-    assert pose_error(solved(sights([box]), far).camera_from_lidar, far).rotation_deg < 1e-3
-    assert any("poses fit the boxes equally well" in line for line in solved(sights([box])).warnings)
-    # Three boxes that are turned differently leave one pose.
     assert pose_error(solved(sights(corner_on(3)), far).camera_from_lidar, TRUTH).rotation_deg < 1e-3
 
 
