@@ -6,7 +6,6 @@ from __future__ import annotations
 import numpy as np
 import p2o
 import pytest
-from p2o.solving import LeastSquares
 from p2o_baselines.edges import canny_long, knn_line, lines, lsd, plane_lines, voxel_planes
 from p2o_baselines.edges.lsd import ImageLines
 from p2o_baselines.edges.plane_lines import CloudLines
@@ -92,15 +91,6 @@ def test_lines_lead_back_to_the_truth() -> None:
     for _ in range(5):
         pose = solve(match([line_view()], pose, 20.0), pose).camera_from_lidar
     np.testing.assert_allclose(pose, truth, atol=1e-6)
-
-
-def test_derivatives_of_lines_are_those_of_their_residuals() -> None:
-    pose = p2o.se3.exp(np.array([0.01, -0.008, 0.012, 0.04, -0.03, 0.05])) @ stage.camera_from_lidar()
-    problem = lines.build(lines.METHOD.options())([line_view()], pose, 30.0)
-    residuals, jacobian = problem.residuals_with_jacobian(pose)
-    expected, differences = LeastSquares.residuals_with_jacobian(problem, pose)
-    np.testing.assert_allclose(residuals, expected)
-    np.testing.assert_allclose(jacobian, differences, rtol=1e-6, atol=1e-5)
 
 
 def test_lines_that_run_another_way_or_lie_beyond_are_not_paired() -> None:
