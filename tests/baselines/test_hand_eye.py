@@ -120,7 +120,7 @@ def tangents(turn: float = 0.12, tilt: float = 0.05) -> np.ndarray:
     return out
 
 
-@pytest.mark.parametrize("off", [[0.0] * 6, [0.03, -0.03, 0.03, 0.3, -0.2, 0.3], [0, 0, 0, -0.6, 0, 0]])
+@pytest.mark.parametrize("off", [[0.03, -0.03, 0.03, 0.3, -0.2, 0.3], [0, 0, 0, -0.6, 0, 0]])
 def test_corners_tell_the_extrinsic_from_half_a_metre_away(off: list[float]) -> None:
     found = corner_depths.refined(groups(tangents(), 0.1), p2o.se3.exp(np.array(off)) @ TRUTH)
     left = p2o.se3.log(found.camera_from_lidar @ p2o.se3.inverse(TRUTH))
