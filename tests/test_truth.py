@@ -112,7 +112,7 @@ def test_without_truth_everything_stays_but_the_truth() -> None:
     frame = full_frame()
     kept = frame.without_truth()
     # A new frame makes its poses rigid anew, which may change their last bit.
-    changed = [f.name for f in fields(Frame) if not same(getattr(kept, f.name), getattr(frame, f.name), within=1e-14)]
+    changed = [f.name for f in fields(Frame) if not same(getattr(frame, f.name), getattr(kept, f.name), within=1e-14)]
     assert (changed, kept.camera_from_lidar) == (["camera_from_lidar"], None)
 
 
