@@ -82,9 +82,11 @@ def plain_environment(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def refused(capsys: pytest.CaptureFixture[str]) -> Callable[[Sequence[str]], str]:
+def refused(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Callable[[Sequence[str]], str]:
     """Return what runs a command that is to be refused, with status 2, no output and one line of error: the line."""
     from p2o.cli import main
+
+    monkeypatch.setattr("p2o.cli.progress.LONG_WORK_S", 3600.0)  # no line of progress on a busy machine
 
     def line(words: Sequence[str]) -> str:
         capsys.readouterr()
