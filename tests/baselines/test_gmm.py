@@ -9,14 +9,6 @@ from p2o_baselines.edges.gmm import Gmm, mixtures, scattered
 from p2o_testing import stage
 
 
-def test_one_edge_pixel_makes_a_gaussian() -> None:
-    first, second = mixtures((41, 61), np.array([[30.0, 20.0]]), np.array([0.4]), 2.0)
-    v, u = np.mgrid[:41, :61] - np.array([20, 30])[:, None, None]
-    near = (np.abs(u) <= 6) & (np.abs(v) <= 6)
-    np.testing.assert_allclose(first, np.where(near, np.exp(-(u**2 + v**2) / 8.0), 0.0), atol=1e-12)
-    np.testing.assert_allclose(second, 0.4 * first, atol=1e-12)
-
-
 def test_the_pictures_are_the_sums_over_all_pairs() -> None:
     """For edges between pixels, but for what sharing them out among four pixels costs at a width of 3 px."""
     rng = np.random.default_rng(0)
