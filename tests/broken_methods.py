@@ -408,20 +408,19 @@ def solver(what: str, solve: Callable[[Any, Any], p2o.Solution], *fails: str) ->
     broken(what, Kind.SOLVER, solve, *fails, needs={"residuals"})
 
 
-def leaves_the_truth(problem: Any, pose: Any) -> p2o.Solution:
-    return at(problem, stage_off(0.05)) if len(problem) and error_deg(pose) < 1e-6 else lm(problem, pose)
+def stays_where(unit: str) -> Callable[[Any, Any], p2o.Solution]:
+    """Return a solver that solves no problems of a unit."""
+    return lambda problem, pose: at(problem, pose) if len(problem) and problem.unit == unit else lm(problem, pose)
 
 
-def stays_in_pixels(problem: Any, pose: Any) -> p2o.Solution:
-    return at(problem, pose) if len(problem) and problem.unit == "px" else lm(problem, pose)
+def goes(angle_deg: float, at_error: Callable[[float], bool]) -> Callable[[Any, Any], p2o.Solution]:
+    """Return a solver that ends so far from the truth where its start has some error in degrees."""
 
+    def solve(problem: Any, pose: Any) -> p2o.Solution:
+        wrong = len(problem) and at_error(error_deg(pose))
+        return at(problem, stage_off(angle_deg)) if wrong else lm(problem, pose)
 
-def knows_pixels_only(problem: Any, pose: Any) -> p2o.Solution:
-    return at(problem, pose) if problem.unit != "px" else lm(problem, pose)
-
-
-def runs_away(problem: Any, pose: Any) -> p2o.Solution:
-    return at(problem, stage_off(5.0)) if error_deg(pose) > 1.2 else lm(problem, pose)
+    return solve
 
 
 def sure_of_itself(problem: Any, pose: Any) -> p2o.Solution:
@@ -439,10 +438,10 @@ def trembling(problem: Any, pose: Any) -> p2o.Solution:
     return at(problem, se3.exp(RNG.normal(scale=1e-10, size=6)) @ found.camera_from_lidar)
 
 
-solver("leaves the truth", leaves_the_truth, "solver_stays_at_the_truth")
-solver("stays in pixels", stays_in_pixels, "solver_returns_to_the_truth")
-solver("knows pixels only", knows_pixels_only, "solver_solves_problems_in_metres")
-solver("runs away", runs_away, "solver_never_makes_it_worse")
+solver("leaves the truth", goes(0.05, lambda error: error < 1e-6), "solver_stays_at_the_truth")
+solver("stays in pixels", stays_where("px"), "solver_returns_to_the_truth")
+solver("knows pixels only", stays_where("m"), "solver_solves_problems_in_metres")
+solver("runs away", goes(5.0, lambda error: error > 1.2), "solver_never_makes_it_worse")
 solver("tells another cost", lambda *given: replace(lm(*given), cost=1e3), "solutions_say_how_they_ended")
 solver("is sure of nothing", sure_of_itself, "solver_says_when_nothing_is_determined")
 solver("a lopsided covariance", lopsided, "covariance_is_one")
@@ -677,51 +676,27 @@ class Reader(CalibrationReader):
         return self.head + TRUTH.tobytes()
 
 
-class ReadsAll(Reader):
-    """Recognises any file, and takes those of other formats for empty."""
-
-    def recognises(self, source: Source) -> bool:
-        return True
+def reader(what: str, *fails: str, **changes: Any) -> None:
+    """Note a reader with other methods."""
+    broken(what, Kind.CALIBRATION_READER, type("Changed", (Reader,), changes)(), *fails)
 
 
-class Estranged(Reader):
-    """Does not recognise its own example."""
-
-    def recognises(self, source: Source) -> bool:
-        return False
-
-
-class Hollow(Reader):
-    """Reads nothing."""
-
-    def read(self, source: Source) -> Calibration:
-        return Calibration()
+def restless(self: Reader, source: Source) -> Calibration:
+    """Read another pose each time."""
+    Reader.read(self, source)
+    return Calibration(camera_from_lidar=se3.exp(RNG.normal(size=6)))
 
 
-class Restless(Reader):
-    """Reads another pose each time."""
-
-    def read(self, source: Source) -> Calibration:
-        super().read(source)
-        return Calibration(camera_from_lidar=se3.exp(RNG.normal(size=6)))
+def unchecked(self: Reader, source: Source) -> Calibration:
+    """Raise whatever NumPy raises."""
+    return Calibration(camera_from_lidar=np.frombuffer(source.data[len(self.head) :]).reshape(4, 4))
 
 
-class Unchecked(Reader):
-    """Raises whatever NumPy raises."""
-
-    def read(self, source: Source) -> Calibration:
-        return Calibration(camera_from_lidar=np.frombuffer(source.data[len(self.head) :]).reshape(4, 4))
-
-
-def reader(what: str, kind: type[Reader], *fails: str) -> None:
-    broken(what, Kind.CALIBRATION_READER, kind(), *fails)
-
-
-reader("a reader of any file", ReadsAll, "other_files_are_not_recognised")
-reader("an example of another format", Estranged, "the_example_is_recognised")
-reader("an empty calibration", Hollow, "the_example_holds_a_calibration")
-reader("another pose each time", Restless, "reading_repeats")
-reader("files that break off", Unchecked, "incomplete_files_are_errors_of_the_file")
+reader("a reader of any file", "other_files_are_not_recognised", recognises=lambda self, source: True)
+reader("an example of another format", "the_example_is_recognised", recognises=lambda self, source: False)
+reader("an empty calibration", "the_example_holds_a_calibration", read=lambda self, source: Calibration())
+reader("another pose each time", "reading_repeats", read=restless)
+reader("files that break off", "incomplete_files_are_errors_of_the_file", read=unchecked)
 
 
 # ---- exporters

@@ -6,7 +6,7 @@ import os
 import shutil
 import signal
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +79,25 @@ def plain_environment(monkeypatch: pytest.MonkeyPatch) -> None:
     """Remove the variables that choose plugins and weights, or let errors of plugins raise."""
     for name in ("P2O_PLUGINS", "P2O_DEBUG", "P2O_STRICT", "P2O_WEIGHTS"):
         monkeypatch.delenv(name, raising=False)
+
+
+@pytest.fixture
+def refused(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Callable[[Sequence[str]], str]:
+    """Return what runs a command that is to be refused, with status 2, no output and one line of error: the line."""
+    from p2o.cli import main
+
+    monkeypatch.setattr("p2o.cli.progress.LONG_WORK_S", 3600.0)  # no line of progress on a busy machine
+
+    def line(words: Sequence[str]) -> str:
+        capsys.readouterr()
+        assert main([*words]) == 2
+        captured = capsys.readouterr()
+        assert captured.out == ""
+        [error] = captured.err.splitlines()
+        assert error.startswith("p2o: error: ")
+        return error
+
+    return line
 
 
 def pytest_configure(config: pytest.Config) -> None:

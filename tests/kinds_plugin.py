@@ -43,36 +43,28 @@ class Marks(p2o.CloudFeature):
         return self.xyz
 
 
-@dataclass(frozen=True, eq=False)
-class StandingMarks(Marks):
-    """They stay where they are when the frame moves."""
-
-    def moved(self, b_from_lidar: Any) -> Any:
-        return self
+def variant(name: str, **changed: Any) -> type[Marks]:
+    """Return a class of marks of this module with other methods."""
+    return dataclass(frozen=True, eq=False)(type(name, (Marks,), {"__module__": __name__, **changed}))
 
 
-@dataclass(frozen=True, eq=False)
-class BackwardMarks(Marks):
-    """They move the wrong way round."""
-
-    def moved(self, b_from_lidar: Any) -> Any:
-        return super().moved(p2o.se3.inverse(b_from_lidar))
+def shifted(self: Marks, b_from_lidar: Any) -> Any:
+    """Move marks, and shift their headings instead of turning them."""
+    return replace(Marks.moved(self, b_from_lidar), heading=p2o.se3.apply(b_from_lidar, self.heading) + 1e-3)
 
 
-@dataclass(frozen=True, eq=False)
-class StiffMarks(Marks):
-    """Their headings are shifted instead of turned."""
-
-    def moved(self, b_from_lidar: Any) -> Any:
-        return replace(super().moved(b_from_lidar), heading=p2o.se3.apply(b_from_lidar, self.heading) + 1e-3)
+def twice(self: Marks, keep: Any) -> Any:
+    """Select each mark twice."""
+    return Marks.select(self, np.tile(np.arange(len(self))[keep], 2))
 
 
-@dataclass(frozen=True, eq=False)
-class TimelessMarks(Marks):
-    """They pay no heed to their times when the LiDAR drives."""
-
-    def untwisted(self, twist: Any) -> Any:
-        return self
+# They stay where they are, move the wrong way round, turn by a shift, or pay no heed to their times.
+StandingMarks = variant("StandingMarks", moved=lambda self, b_from_lidar: self)
+BackwardMarks = variant("BackwardMarks", moved=lambda self, pose: Marks.moved(self, p2o.se3.inverse(pose)))
+StiffMarks = variant("StiffMarks", moved=shifted)
+TimelessMarks = variant("TimelessMarks", untwisted=lambda self, twist: self)
+TwiceMarks = variant("TwiceMarks", select=twice)
+ShyMarks = variant("ShyMarks", without_sides=lambda self: self.select(np.arange(len(self) - 1)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,23 +72,6 @@ class SecretMarks(Marks):
     """They hold what the cache cannot keep."""
 
     secret: Any = field(default_factory=lambda: {1, 2})
-
-
-@dataclass(frozen=True, eq=False)
-class TwiceMarks(Marks):
-    """A selection of them comes back twice."""
-
-    def select(self, keep: Any) -> Any:
-        rows = np.arange(len(self))[keep]
-        return super().select(np.concatenate([rows, rows]))
-
-
-@dataclass(frozen=True, eq=False)
-class ShyMarks(Marks):
-    """They lose one of their number with their sides."""
-
-    def without_sides(self) -> Any:
-        return self.select(np.arange(len(self) - 1))
 
 
 @dataclass(frozen=True, eq=False)

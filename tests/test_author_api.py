@@ -185,18 +185,9 @@ def test_every_name_is_imported_from_where_type_checkers_find_it(module: str) ->
         assert getattr(public, name) is getattr(importlib.import_module(home), there)
 
 
-def test_a_name_stands_in_one_module_only() -> None:
-    names = [name for module in MODULES[:3] for name in importlib.import_module(module).__all__]
-    assert len(names) == len(set(names))
-
-
 def test_an_unknown_name_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match=r"module 'p2o.solving' has no attribute 'Frame'"):
         _ = p2o.solving.Frame  # type: ignore[attr-defined]
-
-
-def test_there_is_a_hook_for_every_kind() -> None:
-    assert sorted(kind.hook for kind in p2o.Kind) == current()["hooks"]
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -50,7 +51,9 @@ def test_any_form_becomes_any_other_that_has_room(
     assert told.out.startswith(f"{out}: {target}, ")
 
 
-def test_options_of_the_target_name_frames_and_form(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_options_name_frames_form_and_a_camera_of_another_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path, out = _file(tmp_path, "koide"), tmp_path / "camera.launch.py"
     to = "ros2?form=launch&lidar_frame=velodyne&camera_frame=front/camera_link"
     assert main(["convert", str(path), str(out), "--to", to]) == 0
@@ -61,15 +64,9 @@ def test_options_of_the_target_name_frames_and_form(tmp_path: Path, capsys: pyte
     assert "frames: lidar velodyne, camera front/camera_link" in said
     assert "left out: the camera" in said
     np.testing.assert_allclose(read_calibration_file(out).extrinsic(), POSE, atol=1e-12)
-
-
-def test_the_camera_may_come_from_another_file(tmp_path: Path) -> None:
-    transform, camera = _file(tmp_path, "ros2"), _file(tmp_path, "camera-info")
-    out = tmp_path / "calib.json"
-    assert main(["convert", str(transform), str(out), "--to", "koide", "--camera", str(camera)]) == 0
-    found = read_calibration_file(out)
-    assert found.camera == LENS
-    np.testing.assert_allclose(found.extrinsic(), POSE, atol=1e-12)
+    transform, camera, both = _file(tmp_path, "ros2"), _file(tmp_path, "camera-info"), tmp_path / "calib.json"
+    assert main(["convert", str(transform), str(both), "--to", "koide", "--camera", str(camera)]) == 0
+    assert read_calibration_file(both).camera == LENS
 
 
 def test_what_is_said_is_where_the_camera_stands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -89,6 +86,7 @@ def test_what_is_said_is_where_the_camera_stands(tmp_path: Path, capsys: pytest.
     ("words", "message"),
     [
         (["--to", "kalibrr"], "did you mean kalibr"),
+        (["--to", "kalibr"], "kalibr has no name for the camera model FULL_OPENCV"),
         (["--to", "json"], "json can only be read"),
         (["--to", "ros2?form=xml"], "form"),
         (["--to", "ros2?camera_frame=a b"], "camera_frame"),
@@ -99,23 +97,12 @@ def test_what_is_said_is_where_the_camera_stands(tmp_path: Path, capsys: pytest.
     ],
 )
 def test_wrong_words_are_told_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], message: str
-) -> None:
-    path = _file(tmp_path, "text")
-    assert main(["convert", str(path), str(tmp_path / "out"), *words]) == 2
-    told = capsys.readouterr().err
-    assert message in told
-    assert told.count("\n") == 1
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_camera_that_the_target_has_no_name_for_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, refused: Callable[..., str], words: list[str], message: str
 ) -> None:
     rational = Camera("FULL_OPENCV", 640, 480, (500.0, 501.0, 320.0, 240.0, *(0.1,) * 8))
     path = _file(tmp_path, "text", Calibration(rational, POSE))
-    assert main(["convert", str(path), str(tmp_path / "out"), "--to", "kalibr"]) == 2
-    assert "kalibr has no name for the camera model FULL_OPENCV" in capsys.readouterr().err
+    assert message in refused(["convert", str(path), str(tmp_path / "out"), *words])
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_result_of_a_run_is_converted(tmp_path: Path) -> None:

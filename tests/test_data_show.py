@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -38,25 +40,26 @@ def test_show_writes_a_picture_a_frame_and_a_page_and_says_so(
     assert [one["source"][:23] for one in blocks(description(html), "image")] == ["data:image/jpeg;base64,"] * 2
 
 
-def test_the_picture_shows_the_sweep_by_range_above_reflectance(tmp_path: Path) -> None:
-    assert main(["data", "show", "fake:?frames=1", *STAGE, "--out", str(tmp_path)]) == 0
-    picture = cv2.imread(str(tmp_path / "drive_0000.png"))
-    assert picture is not None
-    camera = stage.frame().camera
-    assert picture.shape == (2 * (camera.height + 22), camera.width, 3)
-    half = camera.height + 22
-    assert np.abs(picture[22:half].astype(int) - picture[half + 22 :]).mean() > 5
-
-
-def test_a_start_of_a_file_moves_the_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_picture_shows_the_sweep_at_a_start_of_a_file_or_in_words_by_range_above_reflectance(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     pose = np.array(stage.frame().camera_from_lidar)
     pose[:3, 3] += [0.3, 0.1, 0.0]
     file = saved(tmp_path / "start.txt", "\n".join(" ".join(map(str, row)) for row in pose.tolist()))
-    words = ["data", "show", "fake:?frames=1", *STAGE]
-    assert main([*words, "--out", str(tmp_path / "a")]) == 0
-    assert main([*words, "--start", file, "--out", str(tmp_path / "b")]) == 0
-    assert f"at the pose of {file}" in capsys.readouterr().out
-    assert (tmp_path / "a" / "drive_0000.png").read_bytes() != (tmp_path / "b" / "drive_0000.png").read_bytes()
+    guess = "x forward, z up; camera looks forward"
+    words, pictures = ["data", "show", "fake:?frames=1", *STAGE, "--out", str(tmp_path)], []
+    starts = [[], ["--start", file], ["--start", "roughly", guess], ["--start", f"roughly {guess}"]]
+    for start, said in zip(starts, ("the calibration that", file, f"roughly {guess}", f"roughly {guess}"), strict=True):
+        assert main([*words, *start]) == 0
+        assert re.search(f"at (the pose of )?{re.escape(said)}", capsys.readouterr().out)
+        pictures.append(cv2.imread(str(tmp_path / "drive_0000.png")))
+    camera = stage.frame().camera
+    half = camera.height + 22
+    assert pictures[0].shape == (2 * half, camera.width, 3)
+    assert np.abs(pictures[0][22:half].astype(int) - pictures[0][half + 22 :]).mean() > 5
+    assert [np.array_equal(pictures[0], other) for other in pictures[1:]] == [False] * 3
+    assert main([*words, "--start", file, "--pose", "truth"]) == 2
+    assert "the pose is said twice" in capsys.readouterr().err
 
 
 def test_at_most_eight_frames_are_shown_spread_evenly(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -75,13 +78,6 @@ def test_a_pose_that_shows_nothing_is_one_clear_line(tmp_path: Path, capsys: pyt
     error = capsys.readouterr().err.splitlines()[-1]
     assert "no point of the sweep is in the image" in error
     assert "all points behind the camera" in error
-
-
-def test_poses_that_are_missing_or_said_twice_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    pose = saved(tmp_path / "p.txt", "1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n")
-    words = ["data", "show", "fake:?frames=1", *STAGE, "--out", str(tmp_path / "out")]
-    assert main([*words, "--start", pose, "--pose", "truth"]) == 2
-    assert "the pose is said twice" in capsys.readouterr().err
 
 
 def test_a_frame_without_any_pose_says_what_to_give() -> None:
@@ -132,6 +128,11 @@ def test_suggest_says_whether_frames_are_enough_and_what_stays_open(capsys: pyte
     assert "not enough" not in out
     assert main([*SUGGEST, "--require", "0.001deg 0.0001m"]) == 1
     assert "not enough for 0.001 deg and 0.0001 m: " in capsys.readouterr().out
+    same = ["data", "suggest", "fake:?frames=3", *STAGE, "--extractor", "depth/rings", "--count", "2", "--json"]
+    assert main(same) == 0
+    first, second = json.loads(capsys.readouterr().out)["steps"]
+    assert first["places"] > 10
+    assert second["places"] == 0, "the same frame under another name adds nothing"
 
 
 def test_suggested_likely_errors_are_near_those_that_a_run_states(capsys: pytest.CaptureFixture[str]) -> None:
@@ -145,34 +146,14 @@ def test_suggested_likely_errors_are_near_those_that_a_run_states(capsys: pytest
     assert told["translation_m"] == pytest.approx(stated["translation_m"], rel=0.6)
 
 
-def test_the_same_frame_under_two_names_is_not_suggested_twice_first(capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["data", "suggest", "fake:?frames=3", *STAGE, "--extractor", "depth/rings", "--count", "2", "--json"]
-    assert main(words) == 0
-    steps = json.loads(capsys.readouterr().out)["steps"]
-    assert steps[0]["places"] > 10
-    assert steps[1]["places"] == 0
-
-
 @pytest.mark.parametrize(
     ("words", "said"),
     [
         (["--require", "trusted"], "the accuracy is missing"),
         (["--require", "0.1deg"], "the accuracy needs two parts"),
-        (
-            ["--pose", "truth", "--perturb", "1deg 0.1m"],
-            "the pose is said twice",
-        ),
+        (["--pose", "truth", "--perturb", "1deg 0.1m"], "the pose is said twice"),
         (["--frames", "99"], "--frames"),
     ],
 )
-def test_wrong_words_are_one_clear_line(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["data", "suggest", "fake:", *STAGE, "--extractor", "depth/rings", *words]) == 2
-    assert said in capsys.readouterr().err
-
-
-def test_a_guess_in_words_is_drawn_in_both_forms(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["data", "show", "synthetic:?scenes=1&width_px=310&height_px=94&right=false", "--out", str(tmp_path)]
-    guess = "x forward, z up; camera looks forward"
-    for start in (["--start", "roughly", guess], ["--start", f"roughly {guess}"]):
-        assert main([*words, *start]) == 0
-        assert f"at the pose of roughly {guess}" in capsys.readouterr().out
+def test_wrong_words_are_one_clear_line(words: list[str], said: str, refused: Callable[..., str]) -> None:
+    assert said in refused(["data", "suggest", "fake:", *STAGE, "--extractor", "depth/rings", *words])

@@ -52,13 +52,6 @@ def test_figures_from_rows_do_not_end_paragraphs_and_lists() -> None:
         assert not broken, f"{page.relative_to(ROOT)}: move a word to the front of these lines: {broken}"
 
 
-def test_the_notebook_is_a_page_that_links_the_file(site: Path) -> None:
-    page = (site / "tutorial/notebook/index.html").read_text(encoding="utf-8")
-    assert 'href="../../notebooks/first-calibration.ipynb"' in page
-    assert (site / "notebooks/first-calibration.ipynb").is_file()
-    assert "p2o.calibrate(frames" in text_of(site / "tutorial/notebook/index.html")
-
-
 def test_the_front_page_is_the_readme(site: Path) -> None:
     page = (site / "index.html").read_text(encoding="utf-8")
     assert "estimates the rigid transform between a camera and a LiDAR" in page

@@ -326,45 +326,25 @@ def test_ctrl_c_ends_it_too_and_no_pairs_are_status_1(tmp_path: Path) -> None:
     assert complaints == ""
 
 
-def wrong_folder(path: Path) -> list[str]:
-    return ["--out", str(path / "none" / "pairs.yaml")]
-
-
-def wrong_frames(path: Path) -> list[str]:
-    return ["--out", str(path / "pairs.yaml"), "--frames", "7"]
-
-
-def wrong_port(path: Path) -> list[str]:
-    return ["--out", str(path / "pairs.yaml"), "--port", "70000"]
-
-
-def wrong_file(path: Path) -> list[str]:
-    (path / "pairs.yaml").write_text("[]")
-    return ["--out", str(path / "pairs.yaml")]
-
-
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("out", "words", "message"),
     [
-        (wrong_folder, "folder of the pairs is missing"),
-        (wrong_frames, "out of range"),
-        (wrong_port, "70000"),
-        (wrong_file, "another form"),
+        ("none/pairs.yaml", [], "folder of the pairs is missing"),
+        ("pairs.yaml", ["--frames", "7"], "out of range"),
+        ("pairs.yaml", ["--port", "70000"], "70000"),
+        ("other.yaml", [], "another form"),
+        ("pairs.yaml", ["--port", "{taken}"], "127.0.0.1:{taken}: the port cannot be used"),
     ],
 )
 def test_wrong_input_is_an_error_before_anything_is_served(
-    words: Callable[[Path], list[str]], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    out: str, words: list[str], message: str, tmp_path: Path, refused: Callable[..., str]
 ) -> None:
-    assert main(["pick", "--no-browser", "--data", DATA, *words(tmp_path)]) == 2
-    assert message in capsys.readouterr().err
-
-
-def test_a_port_in_use_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "other.yaml").write_text("[]")
     with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        words = ["pick", "--no-browser", "--data", DATA, "--out", str(tmp_path / "pairs.yaml"), "--port", str(port)]
-        assert main(words) == 2
-    assert f"127.0.0.1:{port}: the port cannot be used" in capsys.readouterr().err
+        port = str(taken.getsockname()[1])
+        said = [word.format(taken=port) for word in words]
+        line = refused(["pick", "--no-browser", "--data", DATA, "--out", str(tmp_path / out), *said])
+    assert message.format(taken=port) in line
 
 
 def test_without_viser_one_line_names_the_package(

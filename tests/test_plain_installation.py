@@ -30,11 +30,3 @@ def test_a_plain_installation_has_these_packages() -> None:
 
 def test_nothing_that_it_requires_brings_a_package_of_an_extra() -> None:
     assert not closure(frozenset()) & OF_EXTRAS
-
-
-def test_every_extra_of_a_removed_package_names_it() -> None:
-    extras = {extra: names(texts) for extra, texts in PROJECT["optional-dependencies"].items()}
-    assert extras["colmap"] == {"pycolmap"}
-    assert extras["figures"] == {"matplotlib"}
-    assert extras["torch"] == {"torch", "kornia"}
-    assert extras["train"] >= {"torch", "kornia", "matplotlib"}

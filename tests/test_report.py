@@ -7,7 +7,7 @@ import math
 import re
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,13 +15,12 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from p2o import InputError, Registry, UnknownNameError
+from p2o import InputError, Registry
 from p2o.cli import main
 from p2o.page.plot import Panel
-from p2o.results.figures import figure_lines
 from p2o.results.verdict import Trust
 from p2o_study.report import write_report
-from p2o_study.report.figures import convergence_of, differ_much, figures_of, lifted
+from p2o_study.report.figures import convergence_of, figures_of
 from p2o_study.report.worst import outcome_text, worst_run
 from p2o_study.row import Row
 from p2o_study.rows import PlanRow
@@ -31,7 +30,7 @@ from p2o_study.summary import Summary, summarised
 from p2o_study.tables import report_latex, report_markdown
 
 from tests.fake_study import PLUGIN, PUBLISHED, rounds, run_of, staged, table2, toml_of, write_store
-from tests.page_description import blocks, column, description, table, texts
+from tests.page_description import blocks, column, description, table
 
 HEAD = 'name = "table2"\ntitle = "T"\n'
 DATA = '[[dataset]]\nname = "kitti"\ndata = "kitti:"\n'
@@ -69,24 +68,6 @@ def frames(count: int, row: str, errors: list[float], **values: object) -> list[
 # ---- intervals
 
 
-def test_the_value_of_an_interval_is_the_mean_or_median_of_all_runs() -> None:
-    values, names = [1.0, 2.0, 3.0, 10.0], ["a", "b", "c", "d"]
-    assert interval(values, names, "mean").value == 4.0
-    assert interval(values, names, "median").value == 2.5
-    assert interval(values[:3], names[:3], "median").value == 2.0
-
-
-def test_a_median_of_weighted_values_is_that_of_the_values_repeated() -> None:
-    """An odd and an even number of runs a frame, drawn several times: numpy's median of the written-out sample."""
-    rng = np.random.default_rng(0)
-    values = np.sort(rng.normal(size=9))
-    weights = rng.integers(0, 4, (50, 9))
-    weights[:, 3] += 1
-    for statistic, of in (("mean", np.mean), ("median", np.median)):
-        expected = [of(np.repeat(values, w)) for w in weights]
-        assert np.allclose(_statistics(values, np.arange(9), weights, statistic), expected, rtol=1e-12)
-
-
 def test_a_median_of_drawn_frames_is_that_of_all_runs_of_each_drawn_frame() -> None:
     """Frames with different numbers of runs, enough for several blocks of values."""
     rng = np.random.default_rng(2)
@@ -95,13 +76,6 @@ def test_a_median_of_drawn_frames_is_that_of_all_runs_of_each_drawn_frame() -> N
     for statistic, of in (("mean", np.mean), ("median", np.median)):
         expected = [of(np.repeat(values, drawn[frame])) for drawn in draws]
         assert np.allclose(_statistics(values, frame, draws, statistic), expected, rtol=1e-12)
-
-
-def test_frames_that_all_say_the_same_leave_no_doubt() -> None:
-    """Seeds differ and frames do not: whichever frames are drawn, the mean stays."""
-    names = [f"f{i}" for i in range(8) for _ in range(2)]
-    found = interval([1.0, 3.0] * 8, names, "mean")
-    assert (found.low, found.value, found.high) == (2.0, 2.0, 2.0)
 
 
 def test_the_interval_of_a_mean_is_as_wide_as_normal_theory_says() -> None:
@@ -159,19 +133,14 @@ def test_coverage_of_predicted_errors_and_false_accepts_are_in_the_tables() -> N
     assert "| coverage 67 % |" not in markdown(summary_of(silent))
 
 
-def test_an_offset_in_time_is_among_the_evidence_of_a_run() -> None:
-    figures = {"time_offset_s": 0.0041, "time_sigma_s": 0.0012, "time_use": "corrected"}
-    line = ("time", "images later than their timestamps by +4.1 ms, sigma 1.2 ms, corrected")
-    assert line in figure_lines(figures)
-    assert "time" not in dict(figure_lines({}))
-
-
-def test_a_run_that_raised_or_is_not_there_makes_a_row_incomplete_and_never_bold() -> None:
+def test_a_run_that_raised_or_is_not_there_makes_a_row_incomplete_and_one_without_truth_has_no_figures() -> None:
     good, behind, worst = frames(6, "good", [1.0]), frames(6, "behind", [0.1]), frames(6, "worst", [3.0])
     crash = run_of("raised", "f0", 0, 0.1, 0.1, status="stage-failed", exception="Traceback")
     raised = [*frames(6, "raised", [0.1])[1:], crash]
     missing = [PlanRow("behind", "", "kitti", (key,)) for key in "ab"]
     summary = summary_of([*good, *raised, *behind, *worst], missing)
+    unknown = summary_of(frames(6, "ours", [1.0], truth=None))
+    assert [cells(markdown(unknown), "ours")[name] for name in ("runs", "rotation mean [deg]")] == ["6", "-"]
     rows = {row.label: row for row in summary.groups[0].measured}
     assert rows["raised"].failures == {"stage-failed": 1}
     assert rows["behind"].failures == {"not run": 2}
@@ -181,12 +150,6 @@ def test_a_run_that_raised_or_is_not_there_makes_a_row_incomplete_and_never_bold
     assert cells(text, "raised")["not solved"] == "1 (1 crashed)"
     assert cells(text, "raised")["rotation mean [deg]"].startswith("0.100")
     assert cells(text, "behind")["not solved"] == "0, 2 not run"
-
-
-def test_a_row_without_truth_is_there_without_figures() -> None:
-    summary = summary_of(frames(6, "ours", [1.0], truth=None))
-    assert summary.groups[0].measured[0].mean("rotation_deg") is None
-    assert [cells(markdown(summary), "ours")[name] for name in ("runs", "rotation mean [deg]")] == ["6", "-"]
 
 
 def test_rows_are_compared_only_within_section_dataset_and_kind() -> None:
@@ -207,6 +170,22 @@ def test_rows_are_compared_only_within_section_dataset_and_kind() -> None:
     assert [len(g.comparisons) for g in groups] == [1, 0, 0, 0]
 
 
+# ---- pairs
+
+
+def test_equal_runs_are_tied_and_other_starts_are_told() -> None:
+    runs = [*frames(6, "a", [1.0]), *frames(6, "b", [1.0], protocol="10deg 0.15m")]
+    summary = summary_of(runs)
+    [pair] = summary.groups[0].comparisons
+    assert pair.other_start
+    assert (pair.row, pair.against, pair.pairs) == ("b", "a", 6)
+    assert (pair.differences["rotation_deg"].better, pair.differences["rotation_deg"].tied) == (0.0, 1.0)
+    assert "| b | a (other start) | 6 | +0.000 [+0.000, +0.000] | 0 % (100 % tied) |" in markdown(summary)
+
+
+# ---- tables
+
+
 def test_metrics_of_the_study_file_choose_the_columns() -> None:
     summary = summary_of(frames(5, "a", [1.0]), more='metrics = ["translation_m", "yaw_deg"]\n')
     assert (summary.norms, summary.axes) == (("translation_m",), ("yaw_deg",))
@@ -215,39 +194,11 @@ def test_metrics_of_the_study_file_choose_the_columns() -> None:
     assert "| row | yaw mean [deg] |" in text
 
 
-# ---- pairs
-
-
-def test_pairs_are_runs_on_the_same_frame_and_seed() -> None:
-    """The second row is 0.5 deg better on each frame, but has seed 0 alone, and a frame of its own."""
-    first = frames(6, "first", [1.0, 9.0])
-    second = [*frames(6, "second", [0.5]), run_of("second", "other", 0, 7.0, 0.1)]
-    [pair] = summary_of([*first, *second]).groups[0].comparisons
-    assert (pair.row, pair.against, pair.pairs) == ("second", "first", 6)
-    rotation = pair.differences["rotation_deg"]
-    assert np.allclose([rotation.median.value, rotation.median.low, rotation.median.high], -0.5)
-    assert (rotation.better, rotation.tied) == (1.0, 0.0)
-    assert pair.differences["translation_m"].tied > 0.9
-    assert not pair.other_start
-
-
-def test_equal_runs_are_tied_and_other_starts_are_told() -> None:
-    runs = [*frames(6, "a", [1.0]), *frames(6, "b", [1.0], protocol="10deg 0.15m")]
-    summary = summary_of(runs)
-    [pair] = summary.groups[0].comparisons
-    assert pair.other_start
-    assert (pair.differences["rotation_deg"].better, pair.differences["rotation_deg"].tied) == (0.0, 1.0)
-    assert "| b | a (other start) | 6 | +0.000 [+0.000, +0.000] | 0 % (100 % tied) |" in markdown(summary)
-
-
 def test_many_rows_are_compared_with_the_best_alone() -> None:
     runs = [run for i in range(8) for run in frames(5, f"row{i}", [abs(i - 3) + 1.0])]
     pairs = summary_of(runs).groups[0].comparisons
     assert {pair.against for pair in pairs} == {"row3"}
     assert len(pairs) == 7
-
-
-# ---- tables
 
 
 def test_published_rows_stand_beside_ours_and_are_never_bold() -> None:
@@ -284,12 +235,6 @@ def test_errors_by_axis_are_means_beside_what_is_published() -> None:
     assert means[3] == pytest.approx(np.mean(means[:3]), abs=1e-3)
     assert theirs[1:] == ["*1.500*", "*1.200*", "-", "-"]
     assert "theirs" not in text.partition("**Absolute errors by axis")[0], "it gives no norms"
-
-
-def test_a_published_row_stands_below_its_row_on_every_dataset() -> None:
-    runs = [*frames(5, "ours @ a", [1.0], dataset="a"), *frames(5, "ours @ b", [1.0], dataset="b")]
-    groups = summary_of(published=PUBLISHED[1:], runs=runs).groups
-    assert [[type(row).__name__ for row in g.rows] for g in groups] == [["Statistics", "Published"]] * 2
 
 
 def test_markdown_rows_have_as_many_cells_as_their_head_whatever_they_are_called() -> None:
@@ -367,16 +312,6 @@ def test_a_box_shows_the_quartiles_of_the_signed_errors() -> None:
     assert np.allclose(roll.series[0].x, [[-2, -1, 0, 1, 2]]), "2/3 of the turns"
 
 
-def test_an_axis_is_logarithmic_where_the_medians_of_rows_are_more_than_twenty_times_apart() -> None:
-    """Sizes count, not signs; a row of zeros or without values has no say."""
-    near, far = np.array([-1.0, 1.0, 1.0]), np.array([-20.0, 20.0])
-    assert not differ_much([near, far])
-    assert differ_much([near, 1.01 * far])
-    assert not differ_much([1.01 * far])
-    assert not differ_much([near, np.zeros(3), np.array([]), np.array([np.nan])])
-    assert [row.tolist() for row in lifted([np.array([0.0, -2.0]), np.array([0.0])])] == [[2.0, 2.0], [2.0]]
-
-
 @pytest.mark.parametrize(("factor", "scale"), [(10, "linear"), (25, "log")])
 def test_boxes_of_rows_that_differ_much_are_on_one_logarithmic_axis_without_signs(factor: int, scale: str) -> None:
     turns = [-3.0, -1.5, 0.0, 1.5, 3.0]
@@ -400,14 +335,14 @@ def test_rounds_are_logarithmic_where_rows_end_far_from_each_other() -> None:
     assert [panel.y.log for panel in panels_of("convergence", runs)] == [False, True]
 
 
-def test_points_beyond_the_axes_are_counted_in_its_title() -> None:
-    runs = [run_of("a", f"f{i}", 0, 0.1 * (i % 5), 0.1) for i in range(20)] + [run_of("a", "x", 0, 90.0, 0.1)]
-    assert panels_of("boxplot", runs)[0].x.title == "roll [deg]; 1 of 21 runs beyond"
-
-
 def test_frames_are_shown_with_the_median_and_range_of_their_seeds() -> None:
     [series] = panels_of("frames", frames(3, "a", [1.0, 2.0, 4.0]))[0].series
     assert np.allclose([series.low, series.x, series.high], [[1, 1, 1], [2, 2, 2], [4, 4, 4]])
+
+
+def test_points_beyond_the_axes_are_counted_in_its_title() -> None:
+    runs = [run_of("a", f"f{i}", 0, 0.1 * (i % 5), 0.1) for i in range(20)] + [run_of("a", "x", 0, 90.0, 0.1)]
+    assert panels_of("boxplot", runs)[0].x.title == "roll [deg]; 1 of 21 runs beyond"
 
 
 def test_hundreds_of_frames_are_ranked() -> None:
@@ -530,6 +465,7 @@ def test_a_report_has_tables_figures_and_a_page(reported: tuple[Path, ...]) -> N
     assert set(re.findall(r"\]\(([^)]*)\)", text)) == {f"{f}.png" for f in figures}
     for figure in figures:
         ElementTree.parse(folder / f"{figure}.svg")
+    assert not any(pictures_in(folder.parent)), "there are no data"
 
 
 def test_the_same_store_gives_the_same_bytes_in_any_process(reported: tuple[Path, ...], tmp_path: Path) -> None:
@@ -541,25 +477,16 @@ def test_the_same_store_gives_the_same_bytes_in_any_process(reported: tuple[Path
 
 
 @pytest.mark.usefixtures("blank_figures")
-def test_the_command_names_what_it_wrote(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_store(tmp_path, table2(3, 1))
-    assert main(["report", str(tmp_path), "--out", str(tmp_path / "x"), "--study", "table2"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[0] == str(tmp_path / "x" / "report.html")
-    assert all(Path(line).is_file() for line in lines)
-
-
-def test_the_command_explains_itself(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["report", "--help"]) == 0
-    assert capsys.readouterr().out.startswith("Usage: p2o report")
-
-
-@pytest.mark.usefixtures("blank_figures")
-def test_only_the_studies_that_are_named_are_reported(tmp_path: Path) -> None:
+def test_only_the_studies_that_are_named_are_reported_and_the_command_names_its_files(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     write_store(tmp_path, table2(3, 1))
     other = HEAD.replace("T", "The other") + DATA
     write_store(tmp_path, [run_of("a", "f", 0, 1.0, 0.1)], study="other", toml=other, published=())
-    write_report(tmp_path, tmp_path / "one", studies=["other"])
+    assert main(["report", str(tmp_path), "--out", str(tmp_path / "one"), "--study", "other"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == str(tmp_path / "one" / "report.html")
+    assert all(Path(line).is_file() for line in lines)
     write_report(tmp_path, tmp_path / "both")
     assert "Table 2: KITTI" not in (tmp_path / "one" / "report.md").read_text()
     both = (tmp_path / "both" / "report.md").read_text()
@@ -605,12 +532,6 @@ def test_pictures_are_drawn_from_the_users_data_worst_frames_first(tmp_path: Pat
 
 
 @pytest.mark.usefixtures("blank_figures")
-def test_without_data_there_are_numbers_and_no_pictures(tmp_path: Path) -> None:
-    write_report(write_store(tmp_path, staged()))
-    assert pictures_in(tmp_path) == [[]] * 6
-
-
-@pytest.mark.usefixtures("blank_figures")
 def test_joint_runs_show_each_of_their_frames(tmp_path: Path) -> None:
     names = ("drive/0000", "drive/0001")
     first = staged()[0]
@@ -636,33 +557,7 @@ def test_progress_names_each_frame_and_figure_in_turn(tmp_path: Path) -> None:
     assert told == [*frames, *titles]
 
 
-@pytest.mark.usefixtures("blank_figures")
-def test_progress_is_shown_on_a_terminal_alone_and_not_when_quiet(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    write_store(tmp_path, table2(1, 1))
-    for terminal, words, some in ((True, [], True), (True, ["--quiet"], False), (False, [], False)):
-        with monkeypatch.context() as patch:
-            patch.setattr(sys.stderr, "isatty", lambda terminal=terminal: terminal)
-            assert main(["report", str(tmp_path), *words]) == 0
-        assert ("drawing" in capsys.readouterr().err) is some, (terminal, words)
-
-
 # ---- what can be wrong
-
-
-def refused(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
-    """Return the one line that a command is refused with."""
-    assert main(words) == 2
-    captured = capsys.readouterr()
-    [line] = captured.err.splitlines()
-    assert captured.out == ""
-    return line
-
-
-def test_a_folder_without_rows_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert "the folder has no rows of a study" in refused(["report", str(tmp_path / "nothing")], capsys)
-    assert not (tmp_path / "nothing").exists()
 
 
 def test_a_study_without_runs_is_named(tmp_path: Path) -> None:
@@ -672,13 +567,6 @@ def test_a_study_without_runs_is_named(tmp_path: Path) -> None:
     assert not (tmp_path / "report").exists()
 
 
-def test_an_unknown_study_is_told_with_the_nearest(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_store(tmp_path, table2(1, 1))
-    line = refused(["report", str(tmp_path), "--study", "tabel2"], capsys)
-    assert "unknown study 'tabel2'" in line
-    assert "did you mean table2?" in line
-
-
 def test_a_folder_that_cannot_be_written_is_told_before_any_work(tmp_path: Path) -> None:
     write_store(tmp_path, table2(1, 1))
     (tmp_path / "file").write_text("")
@@ -686,31 +574,34 @@ def test_a_folder_that_cannot_be_written_is_told_before_any_work(tmp_path: Path)
         write_report(tmp_path, tmp_path / "file" / "out")
 
 
-def test_frames_that_the_data_lack_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_store(tmp_path, staged())
-    line = refused(["report", str(tmp_path), "--plugin", PLUGIN, "--data", "fake:?frames=1"], capsys)
-    assert "2 of 3 frames of dataset 'fake' are missing from the data; expected drive/0002, ...; got 1 frames" in line
-    assert not (tmp_path / "report" / "report.html").exists()
+MISSING = "2 of 3 frames of dataset 'fake' are missing from the data; expected drive/0002, ...; got 1 frames"
 
 
-def test_frames_with_other_content_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_store(tmp_path, staged(contents={}))
-    line = refused(["report", str(tmp_path), "--plugin", PLUGIN, "--data", "fake:?frames=3"], capsys)
-    assert "this frame differs from that of the study" in line
-
-
-@pytest.mark.parametrize("text", ["streets=fake:", "fak=fake:"])
-def test_a_dataset_that_no_study_has_is_told(text: str, tmp_path: Path) -> None:
-    write_store(tmp_path, staged())
-    with pytest.raises(UnknownNameError, match="expected one of: fake"):
-        write_report(tmp_path, data=[text])
-
-
-def test_of_several_datasets_one_has_to_be_named(tmp_path: Path) -> None:
-    other = run_of("other", "f", 0, 1.0, 0.1, dataset="streets")
-    write_store(tmp_path, [*staged(), other])
-    with pytest.raises(InputError, match="NAME=DATASET:PATH with a NAME of fake, streets"):
-        write_report(tmp_path, data=["fake:"])
+@pytest.mark.parametrize(
+    ("values", "words", "message"),
+    [
+        (None, [], "the folder has no rows of a study"),
+        ({}, ["--study", "tabel2"], "unknown study 'tabel2'; expected one of: table2; did you mean table2?"),
+        ({}, ["--data", "fake:?frames=1"], MISSING),
+        ({"contents": {}}, ["--data", "fake:?frames=3"], "this frame differs from that of the study"),
+        ({}, ["--data", "fak=fake:"], "expected one of: fake"),
+        ({"dataset": "two"}, ["--data", "fake:"], "NAME=DATASET:PATH with a NAME of fake, two"),
+    ],
+)
+def test_a_store_or_data_that_do_not_fit_are_one_line_before_any_page(
+    values: dict[str, Any] | None,
+    words: list[str],
+    message: str,
+    tmp_path: Path,
+    refused: Callable[..., str],
+) -> None:
+    if values is not None:
+        others = [] if "dataset" not in values else [run_of("other", "f", 0, 1.0, 0.1, dataset="two")]
+        write_store(tmp_path / "store", [*staged(**({} if others else values)), *others])
+    line = refused(["report", str(tmp_path / "store"), "--plugin", PLUGIN, *words])
+    assert message in line
+    assert not (tmp_path / "store" / "report" / "report.html").exists()
+    assert (tmp_path / "store").exists() == (values is not None)
 
 
 @pytest.mark.usefixtures("blank_figures")
@@ -739,13 +630,3 @@ def test_a_page_has_the_worst_runs_of_each_row_and_plots_of_all_runs(
         assert np.allclose(sorted(own), sorted(errors)[-len(own) :], rtol=1e-5)
         assert column(shown, "rotation")[worst["opens"][row]["row"]] == max(own)
     assert len(by_frame["y"]["names"]) == 3, "ten points of three rows"
-
-
-def test_a_page_has_the_first_of_very_many_rows() -> None:
-    from p2o_study.report import page
-    from p2o_study.report.overlays import OverlayImages
-
-    runs = [run_of(f"row {i}", "f", 0, 1.0, 0.1) for i in range(450)]
-    data = description(page.page([summary_of(runs)], OverlayImages()))
-    assert "This page has the first 400 of 450 rows; report.md has all." in texts(data)
-    assert column(table(data, "rows"), "row") == [f"row {i}" for i in range(400)]

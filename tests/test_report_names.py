@@ -9,13 +9,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from p2o.cli import main
 from p2o.errors import printable
 from p2o_study.report import write_report
 from p2o_study.report.figures import figure_names, figures_of
 from p2o_study.study import parse_study
 from p2o_study.summary import summarised
-from p2o_study.tables import report_latex, report_markdown
 
 from tests.fake_study import TOML, run_of, write_store
 
@@ -66,17 +64,14 @@ def test_every_file_of_a_report_lies_in_its_folder_whatever_studies_are_called(
     assert len(files) == 3 + 9 * len(HOSTILE)
 
 
-def test_no_file_of_a_report_holds_a_control_character(hostile: tuple[Path, tuple[Path, ...]]) -> None:
-    for file in hostile[1]:
-        if file.suffix in (".png", ".pdf"):
-            continue
-        text = file.read_text(encoding="utf-8")
-        assert [c for c in text if not c.isprintable() and c != "\n"] == [], file.name
-
-
-def test_no_name_ends_the_script_of_the_page(hostile: tuple[Path, tuple[Path, ...]]) -> None:
-    [page] = [file for file in hostile[1] if file.suffix == ".html"]
-    assert "<script>alert" not in page.read_text(encoding="utf-8")
+def test_no_name_is_a_control_character_a_script_or_a_link(hostile: tuple[Path, tuple[Path, ...]]) -> None:
+    texts = {f.suffix: f.read_text(encoding="utf-8") for f in hostile[1] if f.suffix not in (".png", ".pdf")}
+    for suffix, text in texts.items():
+        assert [c for c in text if not c.isprintable() and c != "\n"] == [], suffix
+    assert "<script>alert" not in texts[".html"]
+    for target in re.findall(r"(?<!\\)\]\((.*?)\)", texts[".md"]):
+        assert re.fullmatch(r"[A-Za-z0-9._-]+\.png", target)
+    assert "](javascript" not in texts[".md"]
 
 
 def test_no_name_is_a_command_of_latex(hostile: tuple[Path, tuple[Path, ...]]) -> None:
@@ -92,21 +87,6 @@ def test_no_name_is_a_command_of_latex(hostile: tuple[Path, tuple[Path, ...]]) -
         depth += 1 if mark == "{" else -1
         assert depth >= 0
     assert depth == 0
-
-
-def test_no_name_is_a_link_of_markdown(hostile: tuple[Path, tuple[Path, ...]]) -> None:
-    [md] = [file for file in hostile[1] if file.suffix == ".md"]
-    text = md.read_text(encoding="utf-8")
-    for target in re.findall(r"(?<!\\)\]\((.*?)\)", text):
-        assert re.fullmatch(r"[A-Za-z0-9._-]+\.png", target)
-    assert "](javascript" not in text
-
-
-def test_the_command_prints_no_control_characters(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    hostile_store(tmp_path, HOSTILE[3:4])
-    assert main(["report", str(tmp_path)]) == 0
-    captured = capsys.readouterr()
-    assert [c for c in captured.out + captured.err if not c.isprintable() and c != "\n"] == []
 
 
 def test_figures_of_two_studies_never_share_a_file() -> None:
@@ -127,10 +107,3 @@ def test_a_study_of_very_many_rows_has_figures_of_the_first() -> None:
     title, figure = drawn["table2-boxplot"]
     assert "(the first 200 rows of 250)" in title
     assert figure.size[1] * 130 < 2**15
-
-
-def test_markdown_and_latex_are_one_line_a_name() -> None:
-    runs = [run_of("a\nb\r\n| c |", f"f{i}", 0, 1.0, 0.1) for i in range(2)]
-    summary = replace(summarised(STUDY, runs), name="x\n\\input{y}")
-    assert "a b \\| c \\|" in report_markdown([summary], lambda _: ())
-    assert "\n% x \\input{y}\n" in report_latex([summary]), "a comment to its end"

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import unicodedata
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +38,7 @@ def named(*names: str) -> str:
 # ---- plugins that raise what is no error
 
 
-@pytest.mark.parametrize("raised", ["SystemExit", "GeneratorExit", "CancelledError", "Own"])
+@pytest.mark.parametrize("raised", ["SystemExit", "CancelledError", "Own"])
 def test_whatever_a_method_raises_is_a_failed_result_that_names_it(
     raised: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -50,9 +51,7 @@ def test_whatever_a_method_raises_is_a_failed_result_that_names_it(
     )
 
 
-@pytest.mark.parametrize(
-    ("by", "got"), [("SIGSEGV", "SIGSEGV"), ("SIGABRT", "SIGABRT"), ("SIGKILL", "SIGKILL"), ("exit", "exit status 0")]
-)
+@pytest.mark.parametrize(("by", "got"), [("SIGSEGV", "SIGSEGV"), ("SIGKILL", "SIGKILL"), ("exit", "exit status 0")])
 def test_a_method_that_ends_its_process_is_a_failed_result_with_isolate(
     by: str, got: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -138,13 +137,10 @@ def test_where_no_frame_can_be_calibrated_the_first_says_why(capsys: pytest.Capt
         p2o.calibrate(told, extractor="depth/rings", perturb="1deg")
 
 
-def test_a_joint_calibration_needs_every_frame_and_says_which_is_bad(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(spy("fake:?frames=3&bad=1", "--joint")) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert captured.err == (
+def test_a_joint_calibration_needs_every_frame_and_says_which_is_bad(refused: Callable[..., str]) -> None:
+    assert refused(spy("fake:?frames=3&bad=1", "--joint")) == (
         "p2o: error: a.png: the image is cut short; "
-        "a joint calibration needs every frame: leave drive/0001 out of --frames, or repair it\n"
+        "a joint calibration needs every frame: leave drive/0001 out of --frames, or repair it"
     )
 
 
@@ -173,15 +169,6 @@ def test_a_disk_that_fills_up_takes_no_finished_result_away(
     assert not (tmp_path / file).exists()
 
 
-def test_a_refused_result_is_not_exported_and_the_others_are(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = spy("fake:", "--set", "calibrator.fail_at=0", "--export", f"kitti:{tmp_path}/{{frame}}.txt")
-    assert main([*words, "--export-anyway"]) == 1
-    assert "p2o: not exported: " in capsys.readouterr().err
-    assert [path.name for path in tmp_path.iterdir()] == ["drive_0001.txt"]
-
-
 # ---- names
 
 
@@ -190,20 +177,18 @@ CLASHING = ("$x^$", "a b", "a_b", "A b", "東京", "北京", "run.json", "result
 
 def test_frames_that_would_share_a_file_have_files_of_their_own(tmp_path: Path) -> None:
     (tmp_path / "exports").mkdir()
-    export = f"json:{tmp_path}/exports/{{frame}}.json"
+    export = f"json:{tmp_path}/exports/{{frame}}/pose.json"
     assert main(spy(named(*CLASHING), "--out", str(tmp_path / "out"), "--export", export)) == 0
-    for files in ((tmp_path / "out").glob("*/result.json"), (tmp_path / "exports").glob("*.json")):
+    for files in ((tmp_path / "out").glob("*/result.json"), (tmp_path / "exports").glob("*/pose.json")):
         frames = [json.loads(path.read_text())["frames"] for path in files]
         assert sorted(frames) == sorted([name] for name in CLASHING)
     assert json.loads((tmp_path / "out/run.json").read_text())["summary"]["count"] == len(CLASHING)
-
-
-def test_a_name_of_its_own_stays_as_it_reads() -> None:
     assert distinct_names(["drive/0001", "b.c"]) == {"drive/0001": "drive_0001", "b.c": "b.c"}
-    names = distinct_names(CLASHING, taken=("run.json",))
-    assert len({name.lower() for name in names.values()}) == len(CLASHING)
+    names = distinct_names([*CLASHING, "x" * 300, "x" * 299 + "y", ".."], taken=("run.json",))
+    assert len({name.lower() for name in names.values()}) == len(names)
     assert names["run.json"] != "run.json"
     assert {names[device].partition(".")[0].lower() for device in ("con", "nul.x")}.isdisjoint({"con", "nul"})
+    assert all(len(name) < 200 and "/" not in name and name.strip(".") for name in names.values())
 
 
 @pytest.mark.parametrize(
@@ -212,10 +197,7 @@ def test_a_name_of_its_own_stays_as_it_reads() -> None:
         (["--export", "json:{tmp}/one.json"], "several results need several files"),
         (["--export", "json:{tmp}/{{frame}}", "--export", "kitti:{tmp}/{{frame}}"], "two outputs have the same file"),
         (["--out", "{tmp}/o", "--export", "kitti:{tmp}/o/{{frame}}/result.json"], "two outputs have the same file"),
-        (
-            ["--export", "json:{tmp}/no/{{frame}}.json"],
-            "the folder of the export is missing; create it first: mkdir -p",
-        ),
+        (["--export", "json:{tmp}/no/{{frame}}.json"], "the folder of the export is missing; create it first: mkdir -"),
         (["--export", "json:~nosuch/{{frame}}"], "the home folder of an unknown user"),
         (["--out", "~nosuch/out"], "the home folder of an unknown user"),
         (["--out", "/dev/null/out"], "cannot write the results"),
@@ -223,18 +205,9 @@ def test_a_name_of_its_own_stays_as_it_reads() -> None:
     ],
 )
 def test_outputs_that_cannot_be_written_are_told_before_any_work(
-    words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: list[str], message: str, tmp_path: Path, refused: Callable[..., str]
 ) -> None:
-    assert main(spy("fake:", *(word.format(tmp=tmp_path) for word in words))) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert captured.err.count("\n") == 1
-    assert message in captured.err
-
-
-def test_exports_go_into_a_folder_for_each_frame(tmp_path: Path) -> None:
-    assert main(spy("fake:", "--export", f"json:{tmp_path}/{{frame}}/pose.json")) == 0
-    assert (tmp_path / "drive_0001/pose.json").exists()
+    assert message in refused(spy("fake:", *(word.format(tmp=tmp_path) for word in words)))
 
 
 HOSTILE = "a\x1b[31m\x9b2J\u202egnp\x7f"
@@ -277,22 +250,16 @@ def test_frames_whose_names_are_no_text_are_told_before_any_work() -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT], ids=lambda number: number.name)
 def test_a_request_to_end_keeps_what_is_finished(number: signal.Signals, tmp_path: Path) -> None:
-    assert_ends_when_asked(number, tmp_path)
-
-
-def test_a_process_that_ignores_interrupts_ends_when_terminated(tmp_path: Path) -> None:
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # as of a command in the background of a script
+    words = spy("fake:", "--set", "calibrator.hang_at=1", "--out", str(tmp_path))
+    # Commands in the background of a script ignore SIGINT; SIGTERM has to end them as well.
+    ignored = number is signal.SIGTERM
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN) if ignored else signal.getsignal(signal.SIGINT)
     try:
-        assert_ends_when_asked(signal.SIGTERM, tmp_path)
+        process = subprocess.Popen(
+            [sys.executable, "-u", "-m", "p2o", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-def assert_ends_when_asked(number: signal.Signals, tmp_path: Path) -> None:
-    words = spy("fake:", "--set", "calibrator.hang_at=1", "--out", str(tmp_path))
-    process = subprocess.Popen(
-        [sys.executable, "-u", "-m", "p2o", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
     assert process.stdout is not None
     for line in process.stdout:
         if line.startswith("hanging"):
@@ -344,15 +311,8 @@ def test_warnings_of_python_stay_off_stderr() -> None:
 
 
 def test_the_accuracy_of_the_initial_guess_is_an_input_that_results_state(capsys: pytest.CaptureFixture[str]) -> None:
-    words = [
-        "run",
-        "--data",
-        "synthetic:?scenes=1&right=false&seed=3",
-        "--extractor",
-        "depth/rings",
-        "--perturb",
-        "2deg 0.15m",
-    ]
+    words = ["run", "--data", "synthetic:?scenes=1&right=false&seed=3&width_px=621&height_px=188"]
+    words += ["--extractor", "depth/rings", "--perturb", "2deg 0.15m"]
     assert main([*words, "--start-sigma", "2deg 0.1m", "--json"]) == 0
     [result] = json.loads(capsys.readouterr().out)["results"]
     assert result["recipe"]["options"]["pipeline"]["start_sigma"] == [2.0, 0.1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -68,15 +69,12 @@ def test_pictures_sweep_and_truth_come_back(tmp_path: Path, layout: str) -> None
     assert again.cloud.xyz.astype(np.float32).tobytes() == frame.cloud.xyz[rows].astype(np.float32).tobytes()
     np.testing.assert_array_equal(again.cloud.ring, np.unique(frame.cloud.ring[rows], return_inverse=True)[1])
     np.testing.assert_allclose(again.cloud.intensity, frame.cloud.intensity[rows], atol=1e-7)
-
-
-def test_the_folder_layout_keeps_start_times_sky_and_unknown_depth(tmp_path: Path) -> None:
-    frame = staged()
-    written("folder", tmp_path, frame)
-    again = read("folder", tmp_path)[0]
-    np.testing.assert_allclose(again.start, START, atol=1e-12)
-    np.testing.assert_array_equal(again.cloud.time_s, frame.cloud.time_s)
-    np.testing.assert_allclose(again.image.depth_m, frame.image.depth_m, rtol=1e-7)
+    if layout == "folder":
+        np.testing.assert_allclose(again.start, START, atol=1e-12)
+        np.testing.assert_array_equal(again.cloud.time_s, frame.cloud.time_s)
+        np.testing.assert_allclose(again.image.depth_m, frame.image.depth_m, rtol=1e-7)
+        entry = yaml.safe_load((tmp_path / names[0] / "frame.yaml").read_text())
+        assert not {"sequence", "time_s", "lidar_world_from_lidar", "camera_world_from_camera", "targets"} & set(entry)
 
 
 def test_the_folder_layout_says_when_and_where_a_frame_of_a_drive_was_and_what_boards_it_shows(tmp_path: Path) -> None:
@@ -110,12 +108,6 @@ def test_the_folder_layout_says_when_and_where_a_frame_of_a_drive_was_and_what_b
     np.testing.assert_allclose(again.camera_world_from_camera, poses[1], atol=1e-12)
 
 
-def test_a_frame_of_no_drive_is_written_without_one(tmp_path: Path) -> None:
-    (name,) = written("folder", tmp_path, staged())
-    entry = yaml.safe_load((tmp_path / name / "frame.yaml").read_text())
-    assert not {"sequence", "time_s", "lidar_world_from_lidar", "camera_world_from_camera", "targets"} & set(entry)
-
-
 @pytest.mark.parametrize(
     "camera",
     [
@@ -124,40 +116,29 @@ def test_a_frame_of_no_drive_is_written_without_one(tmp_path: Path) -> None:
     ],
     ids=lambda camera: camera.model,
 )
-def test_the_folder_layout_keeps_any_camera(tmp_path: Path, camera: Camera) -> None:
+def test_the_folder_layout_keeps_any_camera_and_what_is_absent(tmp_path: Path, camera: Camera) -> None:
     frame = replace(staged(), image=Image(staged().image.rgb, camera))
     written("folder", tmp_path, frame)
     again = read("folder", tmp_path)[0]
     assert again.camera == camera
     assert again.image.right is None
     assert again.image.depth_m is None
-
-
-def test_a_frame_with_nothing_but_picture_and_points_comes_back_from_a_folder(tmp_path: Path) -> None:
-    frame = Frame("bare", Image(staged().image.rgb, staged().camera), Cloud(staged().cloud.xyz), start=START)
-    written("folder", tmp_path, frame)
-    again = read("folder", tmp_path)[0]
-    assert (again.cloud.ring, again.cloud.intensity, again.cloud.time_s, again.camera_from_lidar) == (None,) * 4
+    bare = Frame("bare", Image(staged().image.rgb, staged().camera), Cloud(staged().cloud.xyz), start=START)
+    written("folder", tmp_path / "bare", bare)
+    cloud = read("folder", tmp_path / "bare")[0].cloud
+    assert (cloud.ring, cloud.intensity, cloud.time_s) == (None,) * 3
 
 
 def test_kitti_depth_comes_back_to_half_a_step_of_disparity_and_sky_is_unknown(tmp_path: Path) -> None:
     frame = staged()
-    written("kitti-raw", tmp_path, frame)
-    depth = read("kitti-raw", tmp_path)[0].image.depth_m
     scale = frame.camera.params[0] * frame.image.baseline_m
+    given = np.array(frame.image.depth_m)
+    given[0, 0] = 0.9 * scale / 256  # its disparity needs more than 16 bits
+    written("kitti-raw", tmp_path, replace(frame, image=replace(frame.image, depth_m=given)))
+    depth = read("kitti-raw", tmp_path)[0].image.depth_m
     known = np.isfinite(frame.image.depth_m)
     np.testing.assert_array_equal(np.isfinite(depth), known)
     assert np.abs(scale / depth - scale / frame.image.depth_m)[known].max() <= 0.5 / 256 + 1e-9
-
-
-def test_disparity_beyond_16_bits_is_unknown(tmp_path: Path) -> None:
-    frame = staged()
-    depth = np.full(frame.image.rgb.shape[:2], 5.0)
-    depth[0, 0] = 0.9 * frame.camera.params[0] * frame.image.baseline_m / 256
-    written("kitti-raw", tmp_path, replace(frame, image=replace(frame.image, depth_m=depth)))
-    back = read("kitti-raw", tmp_path)[0].image.depth_m
-    assert np.isnan(back[0, 0])
-    assert np.isfinite(back).sum() == depth.size - 1
 
 
 def moving(twist: np.ndarray) -> Frame:
@@ -231,22 +212,6 @@ def test_another_rig_is_another_day_and_another_drive_a_drive(tmp_path: Path) ->
         np.testing.assert_allclose(again.camera_from_lidar, own.camera_from_lidar, atol=1e-12)
 
 
-def test_the_vkitti2_layout_keeps_pictures_camera_depth_in_centimetres_and_masked_pixels(tmp_path: Path) -> None:
-    frame = staged()
-    assert written("vkitti2", tmp_path, frame, frame) == ["Scene01/clone/00000", "Scene01/clone/00001"]
-    again = read("vkitti2", tmp_path)[1]
-    np.testing.assert_array_equal(again.image.rgb, frame.image.rgb)
-    np.testing.assert_array_equal(again.image.right, frame.image.right)
-    np.testing.assert_array_equal(again.image.masked, frame.image.masked)
-    assert again.camera == frame.camera
-    assert again.image.baseline_m == pytest.approx(frame.image.baseline_m, abs=1e-9)
-    for values in (np.isinf, np.isnan):
-        np.testing.assert_array_equal(values(again.image.depth_m), values(frame.image.depth_m))
-    known = np.isfinite(frame.image.depth_m)
-    assert np.abs(again.image.depth_m[known] - frame.image.depth_m[known]).max() <= 0.005 + 1e-9
-    assert (tmp_path / "Scene01/clone/colors.txt").read_text().startswith("Category r g b\nTerrain 210 0 200\n")
-
-
 @pytest.mark.parametrize(
     ("layout", "change", "text"),
     [
@@ -316,14 +281,6 @@ def test_the_command_writes_what_the_synthetic_dataset_shows(
             np.testing.assert_allclose(again.start, frame.start, atol=1e-9)
 
 
-def test_the_same_seed_gives_the_same_files(tmp_path: Path) -> None:
-    for name in ("a", "b"):
-        assert main(["simulate", str(tmp_path / name), "--layout", "folder", *SMALL, "--seed", "4"]) == 0
-    first, second = (sorted(p for p in (tmp_path / name).rglob("*") if p.is_file()) for name in ("a", "b"))
-    assert [p.name for p in first] == [p.name for p in second]
-    assert [p.read_bytes() for p in first] == [p.read_bytes() for p in second]
-
-
 def test_a_folder_in_use_is_left_alone_unless_forced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "mine.txt").write_text("keep")
     words = ["simulate", str(tmp_path), "--layout", "folder", *SMALL]
@@ -347,17 +304,15 @@ def test_a_folder_in_use_is_left_alone_unless_forced(tmp_path: Path, capsys: pyt
     ],
 )
 def test_wrong_words_are_refused_before_anything_is_written(
-    tmp_path: Path, words: list[str], text: str, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, words: list[str], text: str, refused: Callable[..., str]
 ) -> None:
-    assert main(["simulate", str(tmp_path / "out"), *words]) == 2
-    assert text in capsys.readouterr().err
+    assert text in refused(["simulate", str(tmp_path / "out"), *words])
     assert not (tmp_path / "out").exists()
 
 
-def test_a_place_that_cannot_be_written_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_place_that_cannot_be_written_is_named(tmp_path: Path, refused: Callable[..., str]) -> None:
     (tmp_path / "file").write_text("")
     for out in (tmp_path / "file", tmp_path / "file" / "below"):
-        assert main(["simulate", str(out), "--layout", "folder", *SMALL]) == 2
-        error = capsys.readouterr().err
+        error = refused(["simulate", str(out), "--layout", "folder", *SMALL])
         assert "cannot write the data set" in error
         assert str(tmp_path / "file") in error

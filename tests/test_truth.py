@@ -57,8 +57,7 @@ LIES = {
 }
 
 
-@pytest.mark.parametrize("init", ["given", "search"])
-@pytest.mark.parametrize("lie", [*LIES, "unknown"])
+@pytest.mark.parametrize(("init", "lie"), [("given", "slightly off"), ("search", "turned"), ("search", "unknown")])
 def test_a_wrong_or_unknown_truth_changes_no_bit_of_the_estimate(init: str, lie: str) -> None:
     lying = estimate(init, None if lie == "unknown" else LIES[lie] @ frame().camera_from_lidar)
     assert honest(init).status.solved
@@ -109,15 +108,12 @@ def test_every_field_of_a_frame_is_looked_at_here() -> None:
     assert empty == []
 
 
-@pytest.mark.parametrize("name", [f.name for f in fields(Frame)])
-def test_without_truth_everything_stays_but_the_truth(name: str) -> None:
+def test_without_truth_everything_stays_but_the_truth() -> None:
     frame = full_frame()
-    kept = getattr(frame.without_truth(), name)
-    if name == "camera_from_lidar":
-        assert kept is None
-    else:
-        # A new frame makes its poses rigid anew, which may change their last bit.
-        assert same(kept, getattr(frame, name), within=1e-14)
+    kept = frame.without_truth()
+    # A new frame makes its poses rigid anew, which may change their last bit.
+    changed = [f.name for f in fields(Frame) if not same(getattr(frame, f.name), getattr(kept, f.name), within=1e-14)]
+    assert (changed, kept.camera_from_lidar) == (["camera_from_lidar"], None)
 
 
 Writer = Callable[[Path, np.ndarray], "list[Frame]"]
@@ -198,10 +194,10 @@ TOLD = {
 """Writers of frames that know a truth, and which of the new fields their frames hold."""
 
 
-@pytest.mark.parametrize("lie", LIES)
 @pytest.mark.parametrize("write", TOLD, ids=lambda write: write.__name__)
-def test_another_truth_in_the_files_changes_nothing_else_of_a_frame(tmp_path: Path, write: Writer, lie: str) -> None:
-    honest, lying = write(tmp_path / "honest", VELO_TO_CAM), write(tmp_path / "lying", LIES[lie] @ VELO_TO_CAM)
+def test_another_truth_in_the_files_changes_nothing_else_of_a_frame(tmp_path: Path, write: Writer) -> None:
+    honest = write(tmp_path / "honest", VELO_TO_CAM)
+    lying = write(tmp_path / "lying", LIES["turned"] @ VELO_TO_CAM)
     assert len(honest) == len(lying) == 2
     for one, other in zip(honest, lying, strict=True):
         assert not np.allclose(one.camera_from_lidar, other.camera_from_lidar)

@@ -10,7 +10,7 @@ import socket
 import subprocess
 import sys
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from http.client import HTTPConnection
 from importlib.metadata import version
 from pathlib import Path
@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from p2o import Camera, se3
+from p2o import se3
 from p2o.cli import main
 from p2o.host.calibration_file import read_initial_guess
 from p2o_pages.view.nudge import Nudge
@@ -27,7 +27,7 @@ from p2o_testing import stage
 
 pytest.importorskip("viser", reason="the extra `view` is not installed")
 
-from p2o_pages.view.server import ViewServer, _vertical_fov_rad
+from p2o_pages.view.server import ViewServer
 
 STAGE = str(Path(__file__).with_name("stage_plugin.py"))
 FRAME = stage.frame()
@@ -143,26 +143,6 @@ def test_the_cloud_has_the_colours_that_are_chosen_and_poses_can_be_hidden(serve
     assert (server._frustum["now"].visible, server._frustum["image"].visible) == (True, False)
 
 
-def test_a_view_through_the_camera_holds_the_whole_image_in_any_window() -> None:
-    camera = Camera.pinhole(100.0, 100.0, 199.5, 99.5, 400, 200)
-    assert np.isclose(_vertical_fov_rad(camera, 4.0), np.pi / 2), "a wide window: the image is 200 px high, 90 deg"
-    assert np.isclose(np.tan(_vertical_fov_rad(camera, 1.0) / 2), 2.0), "a square one: its 400 px of width have to fit"
-
-
-def test_another_frame_keeps_the_pose_and_a_calibration_gives_it_a_result(server: ViewServer) -> None:
-    pose = server.session.pose
-    server.frames.value = "1: two"
-    assert server.session.number == 1
-    assert server.session.pose is pose
-    assert server.begin["result"].disabled
-    press(server.calibrate)
-    assert not server.begin["result"].disabled
-    assert not server.calibrate.disabled
-    assert "all is well" in server.status.content
-    press(server.begin["result"])
-    assert server.session.pose is START
-
-
 # ---- who may connect
 
 
@@ -191,7 +171,7 @@ def test_other_names_of_this_machine_get_no_page(server: ViewServer) -> None:
         connection.close()
 
 
-@pytest.mark.parametrize("message", ["text", b"", b"\xff\xff", b"\x81\xa4type\xa1x"])
+@pytest.mark.parametrize("message", ["text", b"\x81\xa4type\xa1x"])
 def test_a_malformed_message_is_one_line(server: ViewServer, message: Any, capsys: pytest.CaptureFixture[str]) -> None:
     from websockets.exceptions import ConnectionClosedError
     from websockets.sync.client import connect
@@ -207,7 +187,7 @@ def test_a_malformed_message_is_one_line(server: ViewServer, message: Any, capsy
     connect(address, origin=origin, subprotocols=versions, max_size=None).close()
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -1e308])
+@pytest.mark.parametrize("value", [np.nan, -1e308])
 def test_a_slider_value_that_the_page_does_not_offer_is_set_back_with_one_line(
     server: ViewServer, value: float, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -286,23 +266,20 @@ def test_a_folder_of_a_run_shows_where_it_began_and_ended(tmp_path: Path, monkey
     ],
 )
 def test_a_folder_whose_run_cannot_be_read_is_told(
-    content: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    content: str, said: str, tmp_path: Path, refused: Callable[..., str]
 ) -> None:
     (tmp_path / "run.json").write_text(content)
-    assert main(view(tmp_path, str(tmp_path))) == 2
-    [line] = capsys.readouterr().err.splitlines()
-    assert said in line
+    assert said in refused(view(tmp_path, str(tmp_path)))
 
 
 def test_a_run_of_frames_of_python_asks_where_they_are(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
 ) -> None:
     import p2o
 
     run = p2o.calibrate(FRAME, calibrator="spy", witness="none", registry=p2o.Registry.load(extra_files=[STAGE]))
     (tmp_path / "run.json").write_text(json.dumps(run.as_dict()))
-    assert main(view(tmp_path, str(tmp_path))) == 2
-    assert f"p2o view DATASET:PATH --run {tmp_path}" in capsys.readouterr().err
+    assert f"p2o view DATASET:PATH --run {tmp_path}" in refused(view(tmp_path, str(tmp_path)))
     session = opened_session(monkeypatch, view(tmp_path, "fake:", "--run", str(tmp_path)))
     assert session.result is None, "no frame of these data is called as the one of the run"
 
@@ -326,21 +303,16 @@ def test_frames_without_any_start_are_looked_at_from_a_guess(tmp_path: Path, mon
         (["fake:", "--run", "nowhere"], "run.json"),
         (["fake:", "--start", "none.yaml"], "none.yaml"),
         (["fake:", "--host", "no.such.host.example"], "the port cannot be used"),
+        (["fake:", "--port", "{taken}"], "127.0.0.1:{taken}: the port cannot be used"),
     ],
 )
 def test_wrong_words_are_one_clear_line(
-    words: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: list[str], said: str, tmp_path: Path, refused: Callable[..., str]
 ) -> None:
-    assert main(view(tmp_path, *words)) == 2
-    [line] = capsys.readouterr().err.splitlines()
-    assert said in line
-
-
-def test_a_port_that_is_taken_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        assert main(view(tmp_path, "fake:", "--port", str(port))) == 2
-    assert f"127.0.0.1:{port}: the port cannot be used" in capsys.readouterr().err
+        port = str(taken.getsockname()[1])
+        line = refused(view(tmp_path, *(word.format(taken=port) for word in words)))
+    assert said.format(taken=port) in line
 
 
 def test_without_viser_one_line_says_how_to_get_it(

@@ -70,17 +70,3 @@ def test_words_with_a_better_term_become_fewer(part: str) -> None:
     ]
     assert len(lines) <= LEFT[part], "\n".join(lines)
     assert len(lines) == LEFT[part], f"LEFT['{part}'] can be lowered to {len(lines)}"
-
-
-@pytest.mark.parametrize(
-    ("text", "code", "count"),
-    [
-        ("The predicted error is given.", False, 0),
-        ("The likely error is told.", False, 2),
-        ("```text\nlikely error\n```\nThe likely error.", False, 1),
-        ("found = 1\nfeatures = 2", True, 1),
-        ("def f(told): return told", True, 1),
-    ],
-)
-def test_an_offence_is_seen(text: str, code: bool, count: int) -> None:
-    assert len(list(offences(text, code=code))) == count

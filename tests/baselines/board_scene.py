@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from p2o import Camera, Checkerboard, Cloud, Frame, Image, se3
+from p2o import Camera, Checkerboard, Cloud, Frame, Image, pose_error, se3
 from p2o.arrays import Float
 from p2o_baselines.boards.board_in_picture import BoardInPicture, refined
 from p2o_baselines.boards.board_in_sweep import BoardInSweep
@@ -17,6 +17,13 @@ TRUTH = se3.exp(np.array([0.03, -0.02, 0.01, 0.0, 0.0, 0.0])) @ se3.make(
     np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]), [0.1, -0.2, 0.05]
 )
 AWAY = se3.exp(np.array([0.06, -0.05, 0.04, 0.1, -0.1, 0.1])) @ TRUTH
+
+
+def assert_near(camera_from_lidar: Float, angle_deg: float, distance_m: float, truth: Float = TRUTH) -> None:
+    """Fail for a pose that is farther from the truth."""
+    error = pose_error(camera_from_lidar, truth)
+    assert error.rotation_deg < angle_deg
+    assert error.translation_m < distance_m
 
 
 def poses(count: int, seed: int = 0) -> list[Float]:
@@ -116,13 +123,17 @@ def picture(camera: Camera, camera_from_board: Float | None) -> Image:
     return Image(np.repeat(grey[..., None], 3, axis=2), camera)
 
 
+def beams(elevation_deg: Float, azimuth_deg: Float) -> tuple[Float, Float]:
+    """Return the unit vectors (N, 3) of the beams of a sweep, ring after ring, and their rings (N,)."""
+    up, turn = np.meshgrid(np.radians(elevation_deg), np.radians(azimuth_deg), indexing="ij")
+    way = np.stack([np.cos(up) * np.cos(turn), np.cos(up) * np.sin(turn), np.sin(up)], axis=-1)
+    return way.reshape(-1, 3), np.repeat(np.arange(len(elevation_deg)), len(azimuth_deg))
+
+
 def sweep(camera_from_board: Float | None, noise_m: float, seed: int = 0, apex_m: float = 0.0) -> Cloud:
     """Return a sweep of 40 rings, 1 deg apart, of the board before a wall 9 m off and a post, from `apex_m` up."""
     rng = np.random.default_rng(seed)
-    elevation, azimuth = np.meshgrid(np.radians(np.arange(-20, 20)), np.radians(np.arange(-50, 50, 0.2)), indexing="ij")
-    way = np.stack(
-        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=-1
-    ).reshape(-1, 3)
+    way, ring = beams(np.arange(-20.0, 20), np.arange(-50, 50, 0.2))
     start = np.array([0.0, 0.0, apex_m])
     distance = 9.0 / way[:, 0]
     post = np.abs(np.arctan2(way[:, 1], way[:, 0]) - 0.6) < 0.02
@@ -135,7 +146,6 @@ def sweep(camera_from_board: Float | None, noise_m: float, seed: int = 0, apex_m
         on = (np.abs(x) < BOARD.width_m / 2) & (np.abs(y) < BOARD.height_m / 2) & (hit > 0)
         distance = np.where(on, hit, distance)
     distance = distance + rng.normal(0, 1, len(distance)) * noise_m
-    ring = np.repeat(np.arange(40), azimuth.shape[1])
     return Cloud(start + way * distance[:, None], ring=ring)
 
 

@@ -9,12 +9,8 @@ from p2o import Box, Camera, Cloud, Frame, Image, Sphere, se3
 from p2o.arrays import Float
 from p2o_sim.things.bodies import turned_to
 
-CAMERA = Camera.pinhole(700.0, 700.0, 499.5, 299.5, 1000, 600)
-FISHEYE = Camera("OPENCV_FISHEYE", 1000, 600, (420.0, 420.0, 499.5, 299.5, -0.03, 0.01, 0.0, 0.0))
-TRUTH = se3.exp(np.array([0.03, -0.02, 0.01, 0.0, 0.0, 0.0])) @ se3.make(
-    np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]), [0.1, -0.2, 0.05]
-)
-AWAY = se3.exp(np.array([0.06, -0.05, 0.04, 0.1, -0.1, 0.1])) @ TRUTH
+from tests.baselines.board_scene import CAMERA, TRUTH, beams
+
 BALL = Sphere(0.25)
 CUBOID = Box(0.9, 0.7, 0.5)
 COLOURS = np.array([[200.0, 30, 150], [30, 60, 200], [30, 160, 40]])
@@ -80,14 +76,9 @@ def sweep(things: list[Float], target: Sphere | Box, noise_m: float = 0.0, seed:
     """
     rng = np.random.default_rng(seed)
     lidar_from_camera = se3.inverse(TRUTH)
-    elevation, azimuth = np.meshgrid(
-        np.radians(np.linspace(-20, 20, rings)), np.radians(np.arange(-60, 60, 0.25)), indexing="ij"
-    )
-    way = np.stack(
-        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], -1
-    ).reshape(-1, 3)
+    way, ring = beams(np.linspace(-20, 20, rings), np.arange(-60, 60, 0.25))
     distance = 9.0 / way[:, 0]
-    distance[np.abs(azimuth.ravel() - 0.9) < 0.02] = 4.0
+    distance[np.abs(np.arctan2(way[:, 1], way[:, 0]) - 0.9) < 0.02] = 4.0
     for thing in things:
         if isinstance(target, Sphere):
             at = meets_ball(np.zeros(3), way, se3.apply(lidar_from_camera, thing[None])[0], target.radius_m)
@@ -95,7 +86,7 @@ def sweep(things: list[Float], target: Sphere | Box, noise_m: float = 0.0, seed:
             at, _ = meets_box(np.zeros(3), way, lidar_from_camera @ thing, target.size_m)
         distance = np.minimum(distance, at)
     distance = distance + rng.normal(0, 1, len(distance)) * noise_m
-    return Cloud(way * distance[:, None], ring=np.repeat(np.arange(rings), azimuth.shape[1]))
+    return Cloud(way * distance[:, None], ring=ring)
 
 
 def frame(number: int, things: list[Float], target: Sphere | Box, noise_m: float = 0.015) -> Frame:

@@ -9,7 +9,7 @@ from p2o_baselines.boards.board_in_picture import BoardInPicture
 from p2o_baselines.boards.holes_in_sweep import HoleBoardInSweep
 from p2o_baselines.target_method import Sight
 
-from tests.baselines.board_scene import CAMERA, TRUTH
+from tests.baselines.board_scene import CAMERA, TRUTH, beams
 
 HOLES = HoleBoard(1.2, 0.8, tuple((x, y, 0.12) for y in (-0.2, 0.2) for x in (-0.25, 0.25)))
 SQUARE = HoleBoard(1.0, 1.0, tuple((x, y, 0.12) for y in (-0.25, 0.25) for x in (-0.25, 0.25)))
@@ -82,18 +82,13 @@ def picture(camera: Camera, camera_from_board: Float | None, target: HoleBoard =
 def sweep(lidar_from_board: Float, noise_m: float = 0.0, rings: int = 48, target: HoleBoard = HOLES) -> Cloud:
     """Return a sweep of the board before a wall 9 m off: rings 0.5 deg apart, points 0.2 deg."""
     rng = np.random.default_rng(0)
-    elevation, azimuth = np.meshgrid(
-        np.radians(0.5) * (np.arange(rings) - rings / 2), np.radians(np.arange(-50, 50, 0.2)), indexing="ij"
-    )
-    way = np.stack(
-        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=-1
-    ).reshape(-1, 3)
+    way, ring = beams(0.5 * (np.arange(rings) - rings / 2), np.arange(-50, 50, 0.2))
     distance = 9.0 / way[:, 0]
     hit = (lidar_from_board[:3, 2] @ lidar_from_board[:3, 3]) / (way @ lidar_from_board[:3, 2])
     own = (way * hit[:, None] - lidar_from_board[:3, 3]) @ lidar_from_board[:3, :2]
     distance = np.where(on_board(own, target) & (hit > 0), hit, distance)
     distance = distance + rng.normal(0, 1, len(distance)) * noise_m
-    return Cloud(way * distance[:, None], ring=np.repeat(np.arange(rings), azimuth.shape[1]))
+    return Cloud(way * distance[:, None], ring=ring)
 
 
 def frame(number: int, camera_from_board: Float, noise_m: float = 0.01) -> Frame:

@@ -13,7 +13,7 @@ from p2o.arrays import Float
 from p2o.run.recipe import Recipe
 from p2o_baselines.boards.board_in_picture import boards_in_picture
 from p2o_baselines.boards.board_in_sweep import boards_in_sweep
-from p2o_baselines.boards.pairing import Pair, from_planes, paired, turned, turns
+from p2o_baselines.boards.pairing import paired, turns
 from p2o_baselines.target_method import Sight
 from p2o_baselines.targets import geiger, koo, mirzaei, zhou
 from scipy.spatial.transform import Rotation
@@ -24,8 +24,8 @@ from tests.baselines.board_scene import (
     CAMERA,
     FISHEYE,
     TRUTH,
+    assert_near,
     frame,
-    in_picture,
     in_sweep,
     pairs,
     picture,
@@ -45,52 +45,20 @@ def solved(method: str, seen: list[Sight], start: Float = AWAY) -> Result:
     return result
 
 
-def test_the_rotation_of_directions_is_exact_and_never_a_mirror_image() -> None:
-    rotation = se3.exp(np.array([0.4, -1.0, 2.0, 0, 0, 0]))[:3, :3]
-    flat = np.array([[1.0, 0, 0], [0, 1, 0]])  # a mirror image fits these as well
-    assert turned(flat @ rotation.T, flat) == pytest.approx(rotation, abs=1e-12)
-
-
-def test_three_planes_give_the_pose_in_closed_form() -> None:
-    normals = np.array([[0.0, 0, -1], [0.6, 0, -0.8], [0, 0.6, -0.8]])
-    offsets = np.array([-3.0, -2.5, -4.0])
-    there = normals @ TRUTH[:3, :3].T
-    # A point of a plane is normal * offset; its image tells the offset there.
-    beyond = np.sum(there * se3.apply(TRUTH, normals * offsets[:, None]), axis=1)
-    assert from_planes(there, beyond, normals, offsets) == pytest.approx(TRUTH, abs=1e-12)
-
-
-@pytest.mark.parametrize("method", [zhou, koo, mirzaei])
-def test_closed_forms_recover_the_pose_of_boards_without_noise(method: object) -> None:
-    found = method.closed(pairs(poses(4)), AWAY)  # type: ignore[attr-defined]
-    error = pose_error(found, TRUTH)
-    assert error.rotation_deg < 1e-5
-    assert error.translation_m < 1e-6
-
-
-def test_one_board_with_its_four_sides_gives_the_pose_in_closed_form() -> None:
-    error = pose_error(zhou.closed(pairs(poses(1)), AWAY), TRUTH)
-    assert error.rotation_deg < 1e-5
-    assert error.translation_m < 1e-6
+@pytest.mark.parametrize(("method", "count"), [(zhou, 1), (zhou, 4), (koo, 4), (mirzaei, 4)])
+def test_closed_forms_recover_the_pose_of_boards_without_noise(method: object, count: int) -> None:
+    found = method.closed(pairs(poses(count)), AWAY)  # type: ignore[attr-defined]
+    assert_near(found, 1e-5, 1e-6)
 
 
 def test_three_boards_and_pieces_give_the_pose_of_their_combination() -> None:
     found = pairs(poses(3))
-    pose = geiger.posed([pair.board for pair in found], [pair.patch for pair in found])
-    assert pose is not None
-    assert pose == pytest.approx(TRUTH, abs=1e-6)
-    swapped = [found[k].patch for k in (1, 0, 2)]
-    assert (
-        geiger.posed([pair.board for pair in found], swapped) is None
-        or pose_error(
-            geiger.posed([pair.board for pair in found], swapped),
-            TRUTH,  # type: ignore[arg-type]
-        ).translation_m
-        > 0.1
+    assert geiger.posed([pair.board for pair in found], [pair.patch for pair in found]) == pytest.approx(
+        TRUTH, abs=1e-6
     )
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_no_rotation_is_too_far_for_the_minima_of_the_polynomial(seed: int) -> None:
     turn = se3.make(Rotation.random(random_state=seed).as_matrix(), [0.3, -0.2, 0.5])
     found = [
@@ -105,9 +73,7 @@ def test_boards_without_noise_are_solved_to_the_truth_from_any_start(method: str
     far = se3.exp(np.array([0.5, -0.4, 0.3, 0.5, -0.5, 0.4])) @ TRUTH
     result = solved(method, sights(poses(5)), far)
     assert result.status is Status.CONVERGED, result.reason
-    error = pose_error(result.camera_from_lidar, TRUTH)
-    assert error.rotation_deg < 1e-4
-    assert error.translation_m < 1e-5
+    assert_near(result.camera_from_lidar, 1e-4, 1e-5)
     assert result.matches["boards"] == 5
     assert result.accuracy is not None
     assert result.covariance is not None
@@ -124,13 +90,6 @@ def test_noise_moves_a_pose_by_no_more_than_its_likely_error_says(method: str) -
     assert result.accuracy is not None
     assert error.rotation_deg < 1.6 * result.accuracy.rotation_deg_95
     assert error.translation_m < 1.6 * result.accuracy.translation_m_95
-
-
-def test_far_and_oblique_boards_weigh_less_where_covariances_say_so() -> None:
-    near, far = pairs([se3.make(None, [0, 0, 2.0]), se3.make(None, [0, 0, 6.0])], noise_px=0.2, noise_m=0.01)
-    cost = koo.cost([near, far], TRUTH)
-    blocks = [cost(pair, TRUTH).by_update for pair in (near, far)]
-    assert np.linalg.norm(blocks[0][:, 3:]) > 2 * np.linalg.norm(blocks[1][:, 3:])
 
 
 @pytest.mark.parametrize("method", ["koo", "geiger", "mirzaei"])
@@ -151,19 +110,19 @@ def test_boards_that_no_pose_brings_together_are_refused() -> None:
     assert "0 of 3 boards" in result.reason
 
 
-@pytest.mark.parametrize("method", ["koo", "mirzaei"])
-def test_boards_that_all_face_one_way_are_refused(method: str) -> None:
-    parallel = [se3.make(None, [x, 0.1 * x, 3.0 + x]) for x in (-0.5, 0.0, 0.5, 1.0)]
-    result = solved(method, sights(parallel))
+@pytest.mark.parametrize(
+    ("method", "turn", "reason"), [("koo", 0.0, "parallel"), ("mirzaei", 0.0, "parallel"), ("koo", 0.3, "in one plane")]
+)
+def test_boards_that_face_one_way_or_turn_about_one_axis_only_are_refused(
+    method: str, turn: float, reason: str
+) -> None:
+    boards = [
+        se3.make(None, [0.3 * k, 0.1 * k, 3.0 + 0.3 * k]) @ se3.exp(np.array([0, turn * k, 0, 0, 0, 0]))
+        for k in (-2, -1, 1, 2)
+    ]
+    result = solved(method, sights(boards))
     assert result.status is Status.NOT_OBSERVABLE
-    assert "parallel" in result.reason
-
-
-def test_boards_that_turn_about_one_axis_only_are_refused_where_planes_are_all() -> None:
-    upright = [se3.make(None, [0.3 * k, 0, 3.0]) @ se3.exp(np.array([0, 0.3 * k, 0, 0, 0, 0])) for k in (-2, -1, 1, 2)]
-    result = solved("koo", sights(upright))
-    assert result.status is Status.NOT_OBSERVABLE
-    assert "lie in one plane" in result.reason
+    assert reason in result.reason
 
 
 def test_one_board_whose_upper_and_lower_side_no_ring_crosses_is_refused() -> None:
@@ -178,14 +137,14 @@ def test_one_board_whose_upper_and_lower_side_no_ring_crosses_is_refused() -> No
 
 def test_pictures_and_sweeps_without_boards_are_told_apart() -> None:
     seen = sights(poses(1))[0]
-    nobody = solved("zhou", [replace(seen, asked="none", in_image=())])
-    assert "add it to `targets` of frame.yaml" in nobody.reason
-    no_picture = solved("zhou", [replace(seen, in_image=())])
-    assert no_picture.status is Status.NO_FEATURES
-    assert "none of 1 images shows a board" in no_picture.reason
-    no_sweep = solved("zhou", [replace(seen, in_sweep=())])
-    assert no_sweep.status is Status.NO_FEATURES
-    assert "no sweep has an isolated plane of 1 x 0.8 m" in no_sweep.reason
+    for changed, reason in (
+        ({"asked": "none", "in_image": ()}, "add it to `targets` of frame.yaml"),
+        ({"in_image": ()}, "none of 1 images shows a board"),
+        ({"in_sweep": ()}, "no sweep has an isolated plane of 1 x 0.8 m"),
+    ):
+        result = solved("zhou", [replace(seen, **changed)])  # type: ignore[arg-type]
+        assert result.status is Status.NO_FEATURES
+        assert reason in result.reason
 
 
 def test_of_several_pieces_the_one_is_the_board_that_one_pose_explains_in_all_frames() -> None:
@@ -200,14 +159,11 @@ def test_of_several_pieces_the_one_is_the_board_that_one_pose_explains_in_all_fr
 
 def test_one_board_may_be_turned_by_half_a_turn_and_the_start_says_which_it_is() -> None:
     seen = sights(poses(1))
-    assert len(turns(SIZE)) == 2
-    assert len(turns((1.0, 1.0))) == 4
+    assert [len(turns(size)) for size in (SIZE, (1.0, 1.0))] == [2, 4]
     result = solved("zhou", seen)
     assert pose_error(result.camera_from_lidar, TRUTH).rotation_deg < 1e-4
     assert any("2 poses fit the boards equally well" in line for line in result.warnings)
-    around = se3.exp(np.array([0, 0, np.pi, 0, 0, 0]))
-    pair = Pair(0, seen[0].in_image[0], seen[0].in_sweep[0], np.eye(4))
-    middle = pair.board.camera_from_board
+    around, middle = se3.exp(np.array([0, 0, np.pi, 0, 0, 0])), seen[0].in_image[0].camera_from_board
     other = middle @ around @ se3.inverse(middle) @ TRUTH
     assert pose_error(solved("zhou", seen, other).camera_from_lidar, other).rotation_deg < 1e-4
 
@@ -230,15 +186,6 @@ def test_no_board_of_another_pattern_is_found() -> None:
     assert boards_in_picture(picture(CAMERA, None), [BOARD]) == ()
 
 
-def test_the_covariance_of_a_board_in_a_picture_is_its_spread() -> None:
-    truth = poses(1, seed=5)[0]
-    found = [in_picture(truth, noise_px=0.3, seed=seed) for seed in range(200)]
-    steps = np.array([se3.log(board.camera_from_board @ se3.inverse(truth)) for board in found])
-    told = np.sqrt(np.mean([np.diag(board.covariance) for board in found], axis=0))
-    # 200 draws tell a deviation to 5 %, three of that.
-    assert steps.std(axis=0) == pytest.approx(told, rel=0.15)
-
-
 @pytest.mark.parametrize("apex_m", [0.0, 0.2])
 def test_a_board_is_found_in_a_sweep_by_its_size_alone(apex_m: float) -> None:
     truth = poses(1, seed=2)[0]
@@ -252,11 +199,10 @@ def test_a_board_is_found_in_a_sweep_by_its_size_alone(apex_m: float) -> None:
     assert len(best.ends) >= 6
 
 
-@pytest.mark.parametrize("apex_m", [0.0, 0.12])
-def test_a_board_in_a_motion_compensated_sweep_is_where_its_points_are(apex_m: float) -> None:
+def test_a_board_in_a_motion_compensated_sweep_is_where_its_points_are() -> None:
     """All is measured 10 ms after the picture from a car that goes on and turns: the board moves with its points."""
     truth, twist = poses(1, seed=2)[0], np.array([0.0, 0, 0.5, 4.0, 0, 0])
-    still = sweep(truth, 0.015, apex_m=apex_m)
+    still = sweep(truth, 0.015, apex_m=0.12)
     raw = replace(still, time_s=np.full(len(still), 0.01))
     before, after = (
         boards_in_sweep(cloud, [SIZE], farthest_m=12, sigma_m=0.04)[0] for cloud in (raw, raw.untwisted(twist))
@@ -280,10 +226,8 @@ def test_drawn_frames_are_calibrated_from_picture_and_sweep() -> None:
     for name in METHODS:
         result = solved(name, prepared)
         assert result.status is Status.CONVERGED, f"{name}: {result.reason}"
-        error = pose_error(result.camera_from_lidar, TRUTH)
         # Ranges off by 1.5 cm over some 300 points a board: tilts of 0.2 deg, of which six average to 0.1.
-        assert error.rotation_deg < 0.4, name
-        assert error.translation_m < 0.03, name
+        assert_near(result.camera_from_lidar, 0.4, 0.03)
 
 
 @pytest.mark.skipif(not ACFR.is_dir(), reason=f"{ACFR} is not there")
@@ -298,7 +242,5 @@ def test_boards_of_a_fisheye_and_a_vlp16_are_found_and_calibrated() -> None:
     assert truth is not None
     result = stage.solve(prepared, se3.exp(np.array([0.1, -0.1, 0.1, 0.1, 0.1, 0.1])) @ truth)
     assert result.matches["boards"] == 4
-    error = pose_error(result.camera_from_lidar, truth)
     # The reference is good to 0.3 deg and 2 cm, four boards to some 0.5 deg and 2 cm: three of both together.
-    assert error.rotation_deg < 1.75
-    assert error.translation_m < 0.085
+    assert_near(result.camera_from_lidar, 1.75, 0.085, truth)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from p2o import Camera, Image, ImageEdges, InputError, Side
+from p2o import Camera, Image, ImageEdges, InputError
 from p2o_baselines.edges.canny import METHOD, CannyOptions
 
 
@@ -38,36 +36,11 @@ def test_a_step_is_found_at_one_of_its_two_pixels_in_every_row() -> None:
     assert len(np.unique(found.uv[:, 1])) == len(found) >= 78  # a detector may leave out the image border
 
 
-def test_rows_and_columns_are_not_exchanged() -> None:
-    found = edges(image(step().T))
-    assert np.abs(found.uv[:, 1] - 49.5).max() == 0.5
-    assert found.uv[:, 0].max() >= 78  # 80 columns
-
-
-def test_no_edge_has_a_direction() -> None:
-    found = edges(image(noisy()))
-    assert len(found) > 0
-    assert (found.side == Side.NONE).all()
-    assert "side" not in METHOD.gives
-
-
-def test_an_even_picture_has_no_edges() -> None:
-    assert len(edges(image(np.full((80, 100), 128.0)))) == 0
-
-
 def test_a_step_below_the_threshold_is_not_an_edge() -> None:
     """Without blur the Sobel filter gives four times a step."""
     weak = image(step(contrast=30.0))
     assert len(edges(weak, low=10, high=119, blur_sigma_px=0)) > 0
     assert len(edges(weak, low=10, high=121, blur_sigma_px=0)) == 0
-
-
-def test_a_faint_end_is_followed_from_a_strong_beginning() -> None:
-    fading = image(60 + (step() - 60) * np.linspace(1.0, 0.2, 80)[:, None])
-    options = {"high": 300.0, "blur_sigma_px": 0.0}
-    followed, strong_only = edges(fading, low=60, **options), edges(fading, low=300, **options)
-    assert followed.uv[:, 1].max() >= 78
-    assert strong_only.uv[:, 1].max() < 40  # 4 * 100 * contrast < 300 from row 25 on
 
 
 def test_blur_removes_the_edges_of_noise() -> None:
@@ -100,19 +73,3 @@ def test_masked_pixels_have_no_edges() -> None:
 def test_thresholds_in_the_wrong_order_are_refused() -> None:
     with pytest.raises(InputError, match="low <= high = 50"):
         edges(image(step()), low=100, high=50)
-
-
-@pytest.mark.real
-def test_real_edges_lie_on_real_gradients(kitti_raw: Path) -> None:
-    import cv2
-
-    path = sorted(kitti_raw.glob("*/*_drive_0015_sync/image_02/data/*.jpg"))[0]
-    rgb = cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2RGB)
-    height, width = rgb.shape[:2]
-    picture = Image(rgb, Camera.pinhole(721.5, 721.5, 609.6, 172.9, width, height))
-    found = edges(picture, low=50, high=150, blur_sigma_px=1.4)
-    assert len(found) > 5000
-    grey = cv2.GaussianBlur(picture.grey, (0, 0), 1.4).astype(np.float64)
-    slope = np.hypot(*(cv2.Sobel(grey, cv2.CV_64F, du, 1 - du) for du in (0, 1)))
-    u, v = found.uv.astype(int).T
-    assert slope[v, u].min() >= 50

@@ -57,14 +57,12 @@ def test_a_ceiling_is_no_ground():
 
 
 def test_lanes_are_what_reflects_on_the_road():
-    found = lane_pole_cloud.METHOD.build(LanePoleCloudOptions())(road(lanes=(-2.0, 2.0))).get("cloud-lane-pole")
+    extract = lane_pole_cloud.METHOD.build(LanePoleCloudOptions())
+    assert len(extract(road()).get("cloud-lane-pole")) == 0
+    found = extract(road(lanes=(-2.0, 2.0))).get("cloud-lane-pole")
     lane = found.xyz[found.kind == LANE]
     assert len(lane) > 100
     assert (np.abs(np.abs(lane[:, 1]) - 2.0) < 0.1).all()
-
-
-def test_a_road_that_is_all_alike_has_no_lanes():
-    assert len(lane_pole_cloud.METHOD.build(LanePoleCloudOptions())(road()).get("cloud-lane-pole")) == 0
 
 
 def test_poles_stand_alone_and_walls_are_none():
@@ -79,6 +77,7 @@ def test_poles_stand_alone_and_walls_are_none():
 
 
 def test_lanes_and_poles_of_a_picture_are_told_apart():
+    assert (lane_pole_image.build(p2o.Options())(picture()).get("image-lane-pole").values == FAR_PX).all()
     away = lane_pole_image.build(p2o.Options())(picture((2.0,), [(12.0, -3.0)])).get("image-lane-pole")
     lane, pole = CAMERA.project(p2o.se3.apply(TRUTH, np.array([[8.0, 2.0, -1.7], [12.0, -3.0, 0.0]])))
     at = [away.values[tuple(np.rint(uv[::-1]).astype(int))] for uv in (lane, pole)]
@@ -86,11 +85,6 @@ def test_lanes_and_poles_of_a_picture_are_told_apart():
     assert at[0][POLE] > 10
     assert at[1][POLE] <= 1
     assert at[1][LANE] > 10
-
-
-def test_an_even_picture_has_neither():
-    away = lane_pole_image.build(p2o.Options())(picture()).get("image-lane-pole")
-    assert (away.values == FAR_PX).all()
 
 
 @pytest.mark.parametrize(("away_px", "share"), [(0.0, 1.0), (3.0, 0.5), (6.0, 0.0), (50.0, 0.0)])

@@ -2,22 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import p2o
 import pytest
-from p2o_baselines.edges import gmm
-from p2o_baselines.edges.gmm import METHOD, Gmm, Mixture, mixtures, scattered
+from p2o_baselines.edges.gmm import Gmm, mixtures, scattered
 from p2o_testing import stage
-
-
-def test_one_edge_pixel_makes_a_gaussian() -> None:
-    first, second = mixtures((41, 61), np.array([[30.0, 20.0]]), np.array([0.4]), 2.0)
-    v, u = np.mgrid[:41, :61] - np.array([20, 30])[:, None, None]
-    near = (np.abs(u) <= 6) & (np.abs(v) <= 6)
-    np.testing.assert_allclose(first, np.where(near, np.exp(-(u**2 + v**2) / 8.0), 0.0), atol=1e-12)
-    np.testing.assert_allclose(second, 0.4 * first, atol=1e-12)
 
 
 def test_the_pictures_are_the_sums_over_all_pairs() -> None:
@@ -33,40 +22,6 @@ def test_the_pictures_are_the_sums_over_all_pairs() -> None:
         assert second[v, u] == pytest.approx(bare @ weight / count, rel=0.05)
 
 
-def test_scattered_points_keep_their_weight_and_place() -> None:
-    out = scattered((10, 12), np.array([[3.25, 6.5]]), np.array([2.0]))
-    assert out.sum() == pytest.approx(2.0)
-    v, u = np.mgrid[:10, :12]
-    assert ((out * u).sum() / 2, (out * v).sum() / 2) == pytest.approx((3.25, 6.5))
-
-
-def test_the_order_of_edges_does_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
-    view, truth, rng = stage.view(), stage.camera_from_lidar(), np.random.default_rng(0)
-    image, cloud = (edges.select(rng.permutation(len(edges))) for edges in (view.image_edges, view.cloud_edges))
-    other = replace(view, image=view.image.having(image), cloud=view.cloud.having(cloud))
-    monkeypatch.setattr(gmm, "_MAX_POINTS", 1_000_000)
-    costs = [Mixture.of([v], truth, 2.0).cost(truth[None])[0] for v in (view, other)]
-    assert costs[0] == pytest.approx(costs[1], rel=1e-12)
-
-
-def test_equal_weights_of_the_image_are_the_special_case_of_unequal_ones() -> None:
-    view, truth = stage.view(), stage.camera_from_lidar()
-    weight = np.full(len(view.image_edges), 0.5)
-    weight[0] += 1e-12
-    near = [
-        replace(view, image=view.image.having(replace(view.image_edges, weight=w))) for w in (weight, weight.round(6))
-    ]
-    parts = [Mixture.of([v], truth, 2.0) for v in near]
-    assert [len(p.parts) for p in parts] == [2, 1]
-    poses = p2o.se3.exp(np.array([[0, 0, 0, 0, 0, 0], [0.01, 0.02, 0, 0, 0.1, 0]])) @ truth
-    first, second = (p.cost(poses) for p in parts)
-    assert np.argmin(first) == np.argmin(second) == 0
-    # Means are taken over the weights of both pictures: 1 + 0.5 of one edge against their mean in one picture.
-    np.testing.assert_allclose(
-        first * sum(p.weight.sum() for p in parts[0].parts), second * parts[1].parts[0].weight.sum()
-    )
-
-
 def test_the_width_shrinks_with_the_reach_down_to_its_limit() -> None:
     match, view, truth = Gmm(), stage.view(), stage.camera_from_lidar()
     aside = p2o.se3.exp(np.array([0.0, 0.02, 0, 0, 0, 0])) @ truth  # 6 px
@@ -74,12 +29,3 @@ def test_the_width_shrinks_with_the_reach_down_to_its_limit() -> None:
     assert wide < narrow
     own = match([view], truth, 5.0).cost(aside[None])[0]
     assert least == pytest.approx(own)
-
-
-def test_its_judge_is_its_own() -> None:
-    matcher, view, truth = METHOD.build(METHOD.options()), stage.view(), stage.camera_from_lidar()
-    judge = matcher.judge([view], truth, [truth])
-    aside = p2o.se3.exp(np.array([0.0, 0.02, 0, 0, 0, 0])) @ truth
-    right, wrong = judge.costs([truth, aside])
-    assert right < wrong
-    assert judge.on([view]).costs([truth, aside]) == [right, wrong]

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import p2o
 import pytest
-from p2o.cli import main
 from p2o.solving import Doubt
 from p2o_baselines.motion import corner_depths, hand_eye
 from p2o_baselines.motion import moments as drives
@@ -30,11 +30,8 @@ def method(**options: object) -> hand_eye.HandEyeCalibration:
 
 
 def moment(number: int, sequence: str = "drive", time_s: float | None = None) -> Moment:
-    pose = p2o.se3.exp(np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
-    time_s = 0.1 * number if time_s is None else time_s
-    return Moment(
-        f"{sequence}/{number}", sequence, time_s, CAMERA, np.zeros((8, 8), np.uint8), None, np.ones((5, 3)), pose
-    )
+    time_s, grey = 0.1 * number if time_s is None else time_s, np.zeros((8, 8), np.uint8)
+    return Moment(f"{sequence}/{number}", sequence, time_s, CAMERA, grey, None, np.ones((5, 3)), np.eye(4))
 
 
 # ---- which frames
@@ -51,24 +48,25 @@ def test_stretches_end_where_time_is_missing_and_where_a_drive_ends() -> None:
     ]
 
 
-def test_frames_that_are_not_consecutive_are_too_few() -> None:
-    frames = [moment(number, time_s=3.0 * number) for number in range(8)]
+def lost(*_: object) -> None:
+    """Stand in for an odometry that fails."""
+    raise p2o.InputError("sweeps 3 and 4 of the sequence do not fit together")
+
+
+@pytest.mark.parametrize(
+    ("period_s", "status", "reason"),
+    [
+        (3.0, p2o.Status.TOO_FEW_MATCHES, "0 steps between consecutive frames, of 8 frames.*calibrated jointly"),
+        (0.1, p2o.Status.NOT_OBSERVABLE, "is static"),
+    ],
+)
+def test_frames_far_apart_a_rig_that_stands_still_and_sweeps_that_do_not_fit_are_refused(
+    period_s: float, status: p2o.Status, reason: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frames = [moment(number, time_s=period_s * number) for number in range(8)]
     result = method(lidar="given").solve(frames, TRUTH)
-    assert result.status is p2o.Status.TOO_FEW_MATCHES
-    assert "0 steps between consecutive frames, of 8 frames" in result.reason
-    assert "calibrated jointly" in result.reason
-
-
-def test_a_rig_that_stands_still_is_refused() -> None:
-    result = method(lidar="given").solve([moment(number) for number in range(8)], TRUTH)
-    assert result.status is p2o.Status.NOT_OBSERVABLE
-    assert "is static" in result.reason
-
-
-def test_sweeps_that_do_not_fit_together_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    def lost(*_: object) -> None:
-        raise p2o.InputError("sweeps 3 and 4 of the sequence do not fit together")
-
+    assert result.status is status
+    assert re.search(reason, result.reason)
     monkeypatch.setattr(drives, "lidar_poses", lost)
     result = method().solve([moment(number) for number in range(8)], TRUTH)
     assert result.status is p2o.Status.TOO_FEW_MATCHES
@@ -106,10 +104,7 @@ def groups(tangents: np.ndarray, noise_px: float = 0.0) -> list[Followed]:
     for tangent in tangents:
         lidar = p2o.se3.exp(tangent)
         sweep, things = room(rng, 12000), room(rng, 250)
-        here, there = (
-            p2o.se3.apply(TRUTH, things),
-            p2o.se3.apply(TRUTH @ lidar, things),
-        )
+        here, there = p2o.se3.apply(TRUTH, things), p2o.se3.apply(TRUTH @ lidar, things)
         uv = CAMERA.project(here)
         seen = CAMERA.in_image(uv) & CAMERA.in_image(CAMERA.project(there)) & (here[:, 2] > 0.1)
         later = CAMERA.project(there[seen]) + noise_px * rng.normal(size=(int(seen.sum()), 2))
@@ -125,7 +120,7 @@ def tangents(turn: float = 0.12, tilt: float = 0.05) -> np.ndarray:
     return out
 
 
-@pytest.mark.parametrize("off", [[0.0] * 6, [0.03, -0.03, 0.03, 0.3, -0.2, 0.3], [0, 0, 0, -0.6, 0, 0]])
+@pytest.mark.parametrize("off", [[0.03, -0.03, 0.03, 0.3, -0.2, 0.3], [0, 0, 0, -0.6, 0, 0]])
 def test_corners_tell_the_extrinsic_from_half_a_metre_away(off: list[float]) -> None:
     found = corner_depths.refined(groups(tangents(), 0.1), p2o.se3.exp(np.array(off)) @ TRUTH)
     left = p2o.se3.log(found.camera_from_lidar @ p2o.se3.inverse(TRUTH))
@@ -140,12 +135,6 @@ def test_where_the_ground_is_flat_the_sweeps_depth_tells_the_height() -> None:
     lower = p2o.se3.make(translation=(0.0, 0.3, 0.0)) @ TRUTH
     found = corner_depths.refined(groups(tangents(tilt=0.0), 0.1), lower)
     assert abs(p2o.se3.log(found.camera_from_lidar @ p2o.se3.inverse(TRUTH))[4]) < 0.02
-
-
-def test_too_few_corners_tell_nothing() -> None:
-    (group, *_) = groups(tangents())
-    few = replace(group, uv=group.uv[:10], rays=group.rays[:10], later=group.later[:, :10])
-    assert corner_depths.refined([few], TRUTH) is None
 
 
 # ---- the whole method
@@ -221,8 +210,3 @@ def test_it_hands_its_result_to_the_matcher(drive: list[p2o.Frame]) -> None:
     error = p2o.pose_error(result.camera_from_lidar, truth)
     assert error.rotation_deg < 1.5
     assert error.translation_m < 0.4
-
-
-def test_a_frame_of_no_drive_has_no_motion_to_start_from(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["run", "--init", "hand-eye", "--extractor", "canny/rings", "--matcher", "nearest"]) == 2
-    assert "the frame has no frame-time; hand-eye needs it" in capsys.readouterr().err

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import p2o
 import pytest
-from p2o_baselines.motion.hand_eye_equations import Steps, first_guess, lengths, rotation_from, solved, translation_from
+from p2o_baselines.motion.hand_eye_equations import Steps, first_guess, lengths, solved
 
 TRUTH = p2o.se3.exp(np.array([0.1, -0.05, 0.08, 0.0, 0.0, 0.0])) @ p2o.se3.make(
     [[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]], [0.06, -0.35, -0.27]
@@ -47,9 +47,8 @@ def planar_motion(count: int = 20, seed: int = 0) -> np.ndarray:
 
 
 @pytest.mark.parametrize("metric", [True, False], ids=["metric", "up to scale"])
-@pytest.mark.parametrize("seed", range(3))
-def test_exact_motion_tells_the_extrinsic_exactly(metric: bool, seed: int) -> None:
-    made = steps(random_motion(seed=seed), metric=metric)
+def test_exact_motion_tells_the_extrinsic_exactly(metric: bool) -> None:
+    made = steps(random_motion(), metric=metric)
     found = solved(made, first_guess(made)[0])
     off = p2o.se3.log(found.camera_from_lidar @ p2o.se3.inverse(TRUTH))
     assert np.abs(off).max() < 1e-6
@@ -59,23 +58,6 @@ def test_exact_motion_tells_the_extrinsic_exactly(metric: bool, seed: int) -> No
         atol=1e-6,
     )
     assert found.open_directions(over_deg=1.0, over_m=0.1) == ()
-
-
-def test_the_closed_forms_are_exact() -> None:
-    made = steps(random_motion())
-    rotation, information = rotation_from(made.camera_turn, made.lidar_turn, np.full(len(made), 1e-4))
-    np.testing.assert_allclose(rotation, TRUTH[:3, :3], atol=1e-9)
-    assert np.linalg.eigvalsh(information)[0] > 1e6
-    t, _ = translation_from(rotation, made, np.full(len(made), 1e8))
-    np.testing.assert_allclose(t, TRUTH[:3, 3], atol=1e-6)
-
-
-def test_one_axis_of_rotation_leaves_the_turn_about_it_open() -> None:
-    turns = np.outer(np.linspace(-0.3, 0.3, 9), [0.0, 0.0, 1.0])
-    _, information = rotation_from(turns @ TRUTH[:3, :3].T, turns, np.full(9, 1e-3))
-    values, axes = np.linalg.eigh(information)
-    assert values[0] < 1e-6 * values[1]
-    np.testing.assert_allclose(np.abs(axes[:, 0]), np.abs(TRUTH[:3, :3] @ [0.0, 0.0, 1.0]), atol=1e-6)
 
 
 @pytest.mark.parametrize("metric", [True, False], ids=["metric", "up to scale"])

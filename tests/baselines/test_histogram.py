@@ -8,7 +8,6 @@ from p2o_baselines.information.histogram import (
     MI,
     NID,
     NMI,
-    Entropies,
     Measure,
     Plain,
     Shrunk,
@@ -48,37 +47,11 @@ def test_values_that_determine_one_another_tell_their_entropy() -> None:
     assert NID.of(shares) == pytest.approx([0.0], abs=1e-12)
 
 
-def test_the_entropy_of_equal_shares_is_the_logarithm_of_their_number() -> None:
-    assert entropy(np.full((1, 32), 1 / 32)) == pytest.approx([np.log(32)])
-
-
-def test_measures_stay_within_their_bounds() -> None:
-    shares = Plain().shares(RNG.dirichlet(np.full(30, 0.1), 200).reshape(200, 5, 6))
-    least = np.minimum(Entropies.of(shares).rows, Entropies.of(shares).columns)
-    assert ((NID.of(shares) >= 0) & (NID.of(shares) <= 1)).all()
-    assert ((NMI.of(shares) >= -2) & (NMI.of(shares) <= -1 + 1e-12)).all()
-    assert ((MI.of(shares) <= 1e-12) & (MI.of(shares) >= -least - 1e-12)).all()
-
-
-@MEASURES
-def test_the_names_of_levels_do_not_matter(measure: Measure) -> None:
-    shares = Plain().shares(COUNTS)
-    mixed = shares[:, RNG.permutation(6)][:, :, RNG.permutation(8)]
-    assert measure.of(mixed) == pytest.approx(measure.of(shares))
-    assert measure.of(np.swapaxes(shares, 1, 2)) == pytest.approx(measure.of(shares))
-
-
 @MEASURES
 def test_one_grey_or_no_points_cost_the_most(measure: Measure) -> None:
     one = np.zeros((2, 4, 4))
     one[1, 2, 3] = 7
     assert measure.of(Plain().shares(one)).tolist() == [measure.worst] * 2
-
-
-@ESTIMATORS
-def test_shares_add_up_to_one_and_those_of_nothing_to_nothing(estimator: Plain) -> None:
-    counts = np.concatenate([COUNTS, np.zeros((1, 6, 8))])
-    assert estimator.shares(counts).sum(axis=(1, 2)) == pytest.approx([1, 1, 1, 1, 1, 0])
 
 
 @MEASURES
@@ -89,13 +62,6 @@ def test_derivatives_by_counts_are_those_of_differences(measure: Measure, estima
     slope = estimator.slope(counts, measure.slope(estimator.shares(counts[None])[0]))
     ahead, behind = measure.of(estimator.shares(np.stack([counts + 1e-5 * change, counts - 1e-5 * change])))
     assert float((slope * change).sum()) == pytest.approx((ahead - behind) / 2e-5, rel=1e-5)
-
-
-def test_shrinkage_lies_between_the_counts_and_equal_shares() -> None:
-    shares, plain = Shrunk().shares(COUNTS), Plain().shares(COUNTS)
-    low, high = np.minimum(plain, 1 / 48), np.maximum(plain, 1 / 48)
-    assert ((shares >= low - 1e-12) & (shares <= high + 1e-12)).all()
-    assert ((shares > low) & (shares < high)).any()
 
 
 def test_many_counts_are_hardly_shrunk_and_a_pair_of_them_wholly() -> None:

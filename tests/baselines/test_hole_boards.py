@@ -10,15 +10,14 @@ from p2o import Camera, Checkerboard, Cloud, HoleBoard, Result, Status, pose_err
 from p2o.arrays import Float
 from p2o_baselines.boards.board_in_sweep import boards_in_sweep
 from p2o_baselines.boards.holes_in_picture import circle_poses, ellipses_of, hole_boards_in_picture
-from p2o_baselines.boards.holes_in_sweep import fitted_pattern, hole_boards_in_sweep
+from p2o_baselines.boards.holes_in_sweep import hole_boards_in_sweep
 from p2o_baselines.boards.pairing import turns_of
 from p2o_baselines.target_method import Sight, TargetOptions
 from p2o_baselines.targets import acsc, domhof, velas, velo2cam
-from p2o_baselines.targets.acsc import fitted_squares, squares_of, two_levels
 
 from tests.baselines import board_scene
-from tests.baselines.board_scene import AWAY, CAMERA, FISHEYE, TRUTH, poses
-from tests.baselines.hole_scene import HOLES, SQUARE, frame, in_sweep, on_board, picture, sights, sweep
+from tests.baselines.board_scene import AWAY, CAMERA, FISHEYE, TRUTH, assert_near, poses
+from tests.baselines.hole_scene import HOLES, SQUARE, frame, in_sweep, picture, sights, sweep
 
 METHODS = {"velo2cam": velo2cam.METHOD, "domhof": domhof.METHOD}
 OBLIQUE = se3.make(None, [0.1, 0.05, 2.6]) @ se3.exp(np.radians([18.0, 32.0, 8.0, 0, 0, 0]))
@@ -79,32 +78,12 @@ def test_the_middle_of_an_ellipse_is_not_the_picture_of_the_centre_and_the_circl
 # ---- the sweep
 
 
-def test_circles_are_laid_where_rays_go_through() -> None:
-    x, y = np.meshgrid(np.arange(-0.55, 0.55, 0.012), np.arange(-0.35, 0.35, 0.03))
-    xy = np.stack([x.ravel(), y.ravel()], axis=1)
-    shift, turn = np.array([0.02, -0.03]), 0.05
-    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-    on = on_board((xy - shift) @ rotation)
-    found = fitted_pattern(xy, on, HOLES, 0.06, np.random.default_rng(0))
-    assert found is not None
-    place, covariance, inset_m = found
-    # Rows 3 cm apart, four holes crossed by eight each: some millimetres.
-    assert place == pytest.approx([*shift, turn], abs=0.006)
-    assert np.sqrt(np.diag(covariance)).max() < 0.01
-    assert abs(inset_m) <= 0.01
-    assert fitted_pattern(xy, np.ones_like(on), HOLES, 0.06, np.random.default_rng(0)) is None  # a solid board
-
-
 def test_a_board_with_holes_is_found_in_a_sweep() -> None:
     there = se3.inverse(TRUTH) @ OBLIQUE
     found = hole_boards_in_sweep(sweep(there, 0.01), [HOLES], farthest_m=8, sigma_m=0.04)
     assert len(found) == 1
     assert found[0].lidar_from_board[:3, 3] == pytest.approx(there[:3, 3], abs=0.012)
     assert turned_away(found[0].lidar_from_board, there) < 1.0
-
-
-def test_a_solid_board_of_the_size_is_none_with_holes() -> None:
-    there = se3.inverse(TRUTH) @ OBLIQUE
     solid = HoleBoard(1.2, 0.8, ((0.0, 0.0, 1e-6),))
     assert hole_boards_in_sweep(sweep(there, 0.01, target=solid), [HOLES], farthest_m=8, sigma_m=0.04) == ()
 
@@ -129,26 +108,13 @@ def test_a_board_is_whole_across_the_gap_between_two_blocks_of_lasers() -> None:
 # ---- the methods
 
 
-@pytest.mark.parametrize("count", [1, 3])
-def test_the_closed_form_of_centres_recovers_the_pose(count: int) -> None:
-    from p2o_baselines.boards.pairing import paired
-
-    pairing = paired(sights(poses(count)), AWAY)
-    assert pairing is not None
-    error = pose_error(velo2cam.closed(pairing.pairs, AWAY), TRUTH)
-    assert error.rotation_deg < 1e-5
-    assert error.translation_m < 1e-6
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_boards_without_noise_are_solved_to_the_truth(method: str) -> None:
-    result = solved(method, sights(poses(4)))
+@pytest.mark.parametrize(("method", "count"), [("velo2cam", 1), ("velo2cam", 4), ("domhof", 4)])
+def test_boards_without_noise_are_solved_to_the_truth(method: str, count: int) -> None:
+    result = solved(method, sights(poses(count)))
     assert result.status is Status.CONVERGED, result.reason
-    error = pose_error(result.camera_from_lidar, TRUTH)
-    assert error.rotation_deg < 1e-4
-    assert error.translation_m < 1e-5
+    assert_near(result.camera_from_lidar, 1e-4, 1e-5)
     assert result.accuracy is not None
-    assert result.matches["boards"] == 4
+    assert result.matches["boards"] == count
 
 
 def test_a_board_that_its_own_covariance_calls_poor_pulls_the_joint_pose_less() -> None:
@@ -162,18 +128,13 @@ def test_a_board_that_its_own_covariance_calls_poor_pulls_the_joint_pose_less() 
 
 def test_a_square_board_fits_four_ways_and_the_start_says_which() -> None:
     seen = sights([OBLIQUE], SQUARE)
-    assert len(turns_of(in_sweep(OBLIQUE, SQUARE))) == 4
-    assert len(turns_of(in_sweep(OBLIQUE, HOLES))) == 2
+    odd = HoleBoard(1.2, 0.8, ((-0.3, -0.2, 0.12), (0.3, -0.2, 0.12), (0.3, 0.2, 0.12)))
+    assert [len(turns_of(in_sweep(OBLIQUE, board))) for board in (SQUARE, HOLES, odd)] == [4, 2, 1]
     result = solved("velo2cam", seen)
     assert pose_error(result.camera_from_lidar, TRUTH).rotation_deg < 1e-4
     assert any("4 poses fit the boards equally well" in line for line in result.warnings)
     quarter = OBLIQUE @ se3.exp(np.array([0, 0, np.pi / 2, 0, 0, 0])) @ se3.inverse(OBLIQUE) @ TRUTH
     assert pose_error(solved("velo2cam", seen, quarter).camera_from_lidar, quarter).rotation_deg < 1e-4
-
-
-def test_a_board_whose_holes_lie_otherwise_after_half_a_turn_fits_one_way() -> None:
-    odd = HoleBoard(1.2, 0.8, ((-0.3, -0.2, 0.12), (0.3, -0.2, 0.12), (0.3, 0.2, 0.12)))
-    assert len(turns_of(in_sweep(OBLIQUE, odd))) == 1
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -187,13 +148,6 @@ def test_what_no_frame_shows_is_said_in_words(method: str) -> None:
     assert np.array_equal(no_sweep.camera_from_lidar, AWAY)
 
 
-def test_frames_that_contradict_are_refused() -> None:
-    other = [in_sweep(se3.inverse(TRUTH) @ pose) for pose in poses(3, seed=9)]
-    seen = [replace(sight, in_sweep=(piece,)) for sight, piece in zip(sights(poses(3)), other, strict=True)]
-    result = solved("velo2cam", seen)
-    assert result.matches.get("boards", 0) < 3
-
-
 def test_drawn_frames_are_calibrated_from_picture_and_sweep() -> None:
     # Head on, and turned three ways.
     boards = [poses(6, seed=1)[k] for k in (0, 3)]
@@ -202,9 +156,7 @@ def test_drawn_frames_are_calibrated_from_picture_and_sweep() -> None:
     for name in METHODS:
         result = solved(name, [scene.sight for scene in scenes])
         assert result.status is Status.CONVERGED, f"{name}: {result.reason}"
-        error = pose_error(result.camera_from_lidar, TRUTH)
-        assert error.rotation_deg < 0.8, name
-        assert error.translation_m < 0.04, name
+        assert_near(result.camera_from_lidar, 0.8, 0.04)
     fine = stage.solve(scenes, AWAY)
     assert fine.status is Status.CONVERGED, fine.reason
     assert pose_error(fine.camera_from_lidar, TRUTH).rotation_deg < 0.8
@@ -223,24 +175,6 @@ def _squares(xy: Float) -> Float:
     return np.where(inside & ((np.floor(u) + np.floor(v)) % 2 == 0), 0.1, 0.8)
 
 
-def test_squares_are_laid_where_returns_are_dark() -> None:
-    rng = np.random.default_rng(0)
-    x, y = np.meshgrid(np.arange(-0.48, 0.48, 0.011), np.arange(-0.38, 0.38, 0.037))
-    xy = np.stack([x.ravel(), y.ravel()], axis=1)
-    shift, turn = np.array([0.02, -0.025]), 0.03
-    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-    bright = two_levels(_squares((xy - shift) @ rotation) + rng.normal(0, 0.03, len(xy)))
-    assert bright is not None
-    found = fitted_squares(xy, bright, SQUARES, rng)
-    assert found is not None
-    assert found[0] == pytest.approx([*shift, turn], abs=0.005)
-    assert found[2] > 0.95
-    assert (
-        two_levels(rng.normal(0.5, 0.1, 400)) is None
-        or fitted_squares(xy[:400], np.asarray(two_levels(rng.normal(0.5, 0.1, 400))), SQUARES, rng) is None
-    )
-
-
 def test_a_sweep_without_intensities_shows_no_squares_and_is_refused_in_a_line() -> None:
     seen = board_scene.frame(0, poses(1, seed=1)[0])
     stage = acsc.METHOD.build(TargetOptions())
@@ -249,7 +183,6 @@ def test_a_sweep_without_intensities_shows_no_squares_and_is_refused_in_a_line()
     result = stage.solve([prepared], AWAY)
     assert result.status is Status.NO_FEATURES
     assert "no sweep has intensities" in result.reason
-    assert "\n" not in result.reason
     assert "intensity" in acsc.METHOD.needs
 
 
@@ -266,15 +199,4 @@ def test_corners_of_drawn_boards_are_calibrated() -> None:
     assert all(each.sight.in_sweep for each in prepared)
     result = stage.solve(prepared, AWAY)
     assert result.status is Status.CONVERGED, result.reason
-    error = pose_error(result.camera_from_lidar, TRUTH)
-    assert error.rotation_deg < 0.4
-    assert error.translation_m < 0.02
-
-
-def test_a_piece_of_one_reflectance_shows_no_squares() -> None:
-    pose = poses(1, seed=2)[0]
-    cloud = board_scene.sweep(pose, 0.01)
-    size = (board_scene.BOARD.width_m, board_scene.BOARD.height_m)
-    piece = boards_in_sweep(cloud, [size], farthest_m=12, sigma_m=0.04)[0]
-    flat = replace(cloud, intensity=np.full(len(cloud.xyz), 0.5))
-    assert squares_of(flat, piece, board_scene.BOARD) is None
+    assert_near(result.camera_from_lidar, 0.4, 0.02)

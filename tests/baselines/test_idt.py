@@ -6,7 +6,7 @@ import numpy as np
 import p2o
 import pytest
 from p2o_baselines.edges.idt import build
-from p2o_baselines.edges.inverse_distance import edge_strength, inverse_distance, sampled, spread
+from p2o_baselines.edges.inverse_distance import edge_strength, inverse_distance, spread
 from p2o_baselines.edges.line_points import along_lines, range_image_jumps
 from p2o_baselines.edges.ring_discontinuity import ring_jumps
 from p2o_testing import stage
@@ -29,22 +29,12 @@ def test_the_transform_is_the_largest_over_all_edges() -> None:
     np.testing.assert_allclose(spread(edges, 0.9), (edges * 0.9**far).max(axis=(2, 3)), rtol=1e-12)
 
 
-def test_wide_images_without_edges_stay_dark() -> None:
-    assert not spread(np.zeros((3, 20_000)), 0.55).any()
-
-
 def test_the_strength_of_an_edge_is_its_largest_step_to_a_neighbour() -> None:
     grey = np.full((5, 5), 100.0)
     grey[2, 2] = 70.0
     strength = edge_strength(grey)
     assert strength[1:4, 1:4].min() == strength.max() == 30.0
     assert strength[0].max() == 0.0
-
-
-def test_maps_are_looked_up_between_pixels_and_outside() -> None:
-    values = np.arange(12.0).reshape(3, 4)
-    u, v = np.array([0.5, 3.0, 3.0, -0.1, np.nan]), np.array([1.0, 2.0, 0.25, 1.0, 1.0])
-    np.testing.assert_allclose(sampled(values, u, v, -7.0), [4.5, 11.0, 4.0, -7.0, -7.0])
 
 
 def ring_of(ranges: list[float], step_deg: float = 0.2) -> p2o.Cloud:
@@ -57,13 +47,9 @@ def test_only_the_near_side_of_a_jump_counts() -> None:
     rows, jump = ring_jumps(ring_of([9.0, 9.0, 5.0, 5.1, 5.0, 7.0]), 0.3, 0.6)
     assert rows.tolist() == [2, 4]
     np.testing.assert_allclose(jump, [4.0, 2.0])
-
-
-def test_a_missing_return_makes_no_jump_and_rings_are_closed() -> None:
     gap = ring_of([9.0] * 20 + [7.0] * 5 + [5.0] * 20).select(np.r_[0:20, 25:45])
-    assert len(ring_jumps(gap, 0.3, 0.6)[0]) == 0
-    ring = ring_of([5.0] * 1799 + [9.0])
-    assert sorted(ring_jumps(ring, 0.3, 0.6)[0]) == [0, 1798]
+    assert len(ring_jumps(gap, 0.3, 0.6)[0]) == 0, "a missing return"
+    assert sorted(ring_jumps(ring_of([5.0] * 1799 + [9.0]), 0.3, 0.6)[0]) == [0, 1798], "rings are closed"
 
 
 def test_points_along_a_line_are_kept_and_those_of_a_cloud_are_not() -> None:

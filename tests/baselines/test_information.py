@@ -14,9 +14,8 @@ from p2o.reading import RingsUnknownError
 from p2o.solving import Objective
 from p2o_baselines.information import gom, grey, mi, nid, nmi, reflectance
 from p2o_baselines.information.gom import gradients
-from p2o_baselines.information.histogram import Linear, presence, presence_slope
-from p2o_baselines.information.information import SeenPoints, Sighting, Span, sightings
-from p2o_plugins.solve import barzilai_borwein
+from p2o_baselines.information.histogram import presence, presence_slope
+from p2o_baselines.information.information import Sighting, sightings
 from p2o_testing import stage
 
 TRUTH = stage.camera_from_lidar()
@@ -61,56 +60,11 @@ def test_points_count_less_towards_the_border_and_not_at_all_outside() -> None:
     assert slope.tolist() == [[0, 0], [0.1, 0], [0, -0.1], [0, 0], [0, 0], [0, 0]]
 
 
-def test_a_point_that_leaves_the_image_leaves_the_histogram_steadily() -> None:
-    camera = p2o.Camera.pinhole(100.0, 100.0, 50.0, 50.0, 101, 101)
-    image = Linear(np.linspace(0, 7, 101 * 101).reshape(101, 101), 8)
-    seen = SeenPoints(camera, image, np.array([[0.0, 0.0, 10.0]]), np.zeros(1, np.int64), 1)
-    poses = np.tile(np.eye(4), (601, 1, 1))
-    poses[:, 0, 3] = np.linspace(0, 6, 601)  # m to the right: 10 px each
-    total = seen.counts(poses).sum(axis=(1, 2))
-    assert total[[0, 400, 450, 500, 600]] == pytest.approx([1, 1, 0.5, 0, 0])
-    assert np.abs(np.diff(total)).max() < 0.011
-
-
 def test_a_frame_twice_tells_as_much_as_once_with_a_histogram_for_each() -> None:
     seen = views()
     once, twice = (problem(mi, seen * n, OFF, per_frame=True, estimator="counts") for n in (1, 2))
     poses = np.stack([TRUTH, OFF])
     assert twice.cost(poses) == pytest.approx(once.cost(poses))
-
-
-def test_frames_with_opposite_greys_share_information_only_in_histograms_of_their_own() -> None:
-    [seen] = views()
-    negative = replace(
-        seen, image=p2o.ImageFeatures(features=[p2o.GreyMap(255.0 - seen.get("image-grey").values)]), name="negative"
-    )
-    own, joint = (problem(mi, [seen, negative], TRUTH, bins=32, per_frame=each) for each in (True, False))
-    single = problem(mi, [seen], TRUTH, bins=32)
-    at_truth = [float(posed.cost(TRUTH[None])[0]) for posed in (own, joint, single)]
-    assert at_truth[0] == pytest.approx(at_truth[2], rel=0.05)
-    assert at_truth[1] > 0.9 * at_truth[2]
-
-
-def test_nid_takes_the_points_of_the_image() -> None:
-    camera, [seen] = stage.camera(), views()
-    points = seen.get("cloud-points")
-    uv = camera.project(se3.apply(TRUTH, points.xyz))
-    outside = np.flatnonzero(np.isfinite(uv).all(axis=1) & ~camera.in_image(uv) & camera.in_image(uv, 30.0))
-    only = replace(seen, cloud=p2o.CloudFeatures(points=points.select(outside)))
-    turned = se3.exp(np.array([0, -40 / camera.focal_px, 0, 0, 0, 0])) @ TRUTH
-    assert problem(nid, [only], TRUTH).cost(turned[None])[0] == 1.0
-
-
-@every
-def test_points_in_another_order_cost_the_same(method: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(method, "_POINTS", 10**6)
-    [seen] = views()
-    points = seen.get("cloud-points")
-    mixed = points.select(np.random.default_rng(1).permutation(len(points)))
-    other = replace(seen, cloud=p2o.CloudFeatures(points=mixed))
-    # Of all points: which of them are left where there are too many depends on their order.
-    costs = [problem(method, [view]).cost(np.stack([TRUTH, OFF])) for view in (seen, other)]
-    assert costs[0] == pytest.approx(costs[1], rel=1e-6)
 
 
 @pytest.mark.parametrize("method", [mi, nid, nmi], ids=lambda m: m.METHOD.name)
@@ -131,21 +85,6 @@ def test_only_the_order_of_reflectances_matters(method: ModuleType) -> None:
     assert costs[0] == pytest.approx(costs[1], rel=1e-9)
 
 
-@every
-def test_views_without_points_pose_a_cost_that_prefers_no_pose(method: ModuleType) -> None:
-    bare = p2o.View("none", stage.camera(), p2o.ImageFeatures(), p2o.CloudFeatures())
-    costs = problem(method, [bare]).cost(np.stack([TRUTH, OFF]))
-    assert np.isfinite(costs).all()
-    assert costs[0] == costs[1]
-
-
-@every
-def test_a_pose_that_looks_elsewhere_costs_the_most(method: ModuleType) -> None:
-    posed, backwards = problem(method, views(), TRUTH), se3.exp(np.array([0, np.pi, 0, 0, 0, 0])) @ TRUTH
-    there, away = posed.cost(np.stack([TRUTH, backwards]))
-    assert there < away
-
-
 def test_twice_the_frames_halve_the_bound_of_cramer_and_rao() -> None:
     seen = views()
     once, twice = (problem(mi, seen * n, TRUTH) for n in (1, 2))
@@ -162,45 +101,6 @@ def test_the_bound_is_none_where_the_picture_tells_nothing() -> None:
     posed = problem(mi, [flat], TRUTH)
     assert posed.covariance is not None
     assert posed.covariance(TRUTH) is None
-
-
-def test_the_covariance_of_mi_comes_with_the_result(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(barzilai_borwein, "_MAX_ITERATIONS", 5)
-    run = p2o.calibrate(
-        "synthetic:?place=yard&width_px=414&height_px=125&lidar=vlp-16&right=false",
-        extractor="grey/reflectance",
-        matcher="mi",
-        solver="barzilai-borwein",
-        init="given",
-        perturb="0.5deg 0.02m",
-        witness="none",
-        options={"pipeline": {"rounds": 1}, "matcher": {"bins": 32}},
-    )
-    [row] = run.rows
-    assert row.result.status.solved
-    assert row.result.covariance is not None
-    assert (np.linalg.eigvalsh(row.result.covariance) > 0).all()
-
-
-def test_what_stands_behind_is_hidden() -> None:
-    camera = p2o.Camera.pinhole(100.0, 100.0, 50.0, 50.0, 101, 101)
-    xyz = np.array([[0.0, 0, 5], [0, 0, 5.05], [0, 0, 6], [1.0, 0, 6], [0, 0, -3]])
-    seen = Sighting(camera, p2o.GreyMap(np.zeros((101, 101))), xyz, np.arange(5.0)).visible(np.eye(4), 1.0, 0.1)
-    assert seen.value.tolist() == [0, 1, 3]
-
-
-def test_points_far_out_of_the_picture_are_left_out_and_others_thinned_evenly() -> None:
-    camera = p2o.Camera.pinhole(100.0, 100.0, 50.0, 50.0, 101, 101)
-    x = np.linspace(-20, 20, 401)
-    xyz = np.column_stack([x, np.zeros(401), np.full(401, 10.0)])
-    seen = Sighting(camera, p2o.GreyMap(np.zeros((101, 101))), xyz, x).near_image(np.eye(4), 10**6)
-    # 50 px and 5 degrees of a focal length of 100 px to either side, 0.1 m a pixel.
-    assert np.abs(seen.value).max() == pytest.approx(10 * (0.505 + np.tan(np.radians(5))), abs=0.1)
-    assert len(seen.near_image(np.eye(4), 7).value) == 7
-
-
-def test_values_beyond_the_span_go_to_its_ends() -> None:
-    assert Span(0.0, 1.0).levels(np.array([-3.0, 0.0, 0.49, 0.51, 1.0, 9.0]), 2).tolist() == [0, 0, 0, 1, 1, 1]
 
 
 def test_steepness_needs_normals_and_says_how_to_get_them() -> None:
@@ -231,30 +131,6 @@ def test_normals_are_those_of_the_surface_and_look_at_the_lidar() -> None:
     cosine = (points.normal * exact.normal[order]).sum(axis=1)
     assert np.mean(cosine > 0.99) > 0.9
     assert ((points.normal * points.xyz).sum(axis=1) <= 0).all()
-
-
-def test_reflectance_is_ranked_within_rings_on_request() -> None:
-    cloud = stage.frame().cloud
-    ring = np.arange(len(cloud.xyz)) % 2
-    darker = replace(cloud, ring=ring, intensity=np.where(ring == 1, 0.1, 1.0) * (0.05 + cloud.intensity))
-    options = reflectance.ReflectanceOptions(equalise="ring", min_range_m=0)
-    found = reflectance.METHOD.build(options)(darker).get("cloud-points")
-    order = np.lexsort(darker.xyz.T)
-    for number in (0, 1):
-        ranks = found.intensity[ring[order] == number]
-        assert ranks.mean() == pytest.approx(0.5, abs=0.01)
-        assert np.argmax(ranks) == np.argmax(darker.intensity[order][ring[order] == number])
-
-
-def test_reflectance_keeps_its_bounds_and_ranks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reflectance, "_POINTS", 500)
-    options = reflectance.ReflectanceOptions(min_range_m=8, max_range_m=15, equalise="sweep")
-    points = reflectance.METHOD.build(options)(stage.frame().cloud).get("cloud-points")
-    distance = np.linalg.norm(points.xyz, axis=1)
-    assert len(points) == 500
-    assert distance.min() >= 8
-    assert distance.max() <= 15
-    assert points.intensity.mean() == pytest.approx(0.5, abs=0.05)
 
 
 def cloud_with_lasers(ring: np.ndarray, intensity: np.ndarray) -> p2o.Cloud:
@@ -291,16 +167,23 @@ def test_without_observable_rings_reflectance_is_ranked_in_the_sweep() -> None:
     assert sorted(points.intensity) == pytest.approx((np.arange(len(xyz)) + 0.5) / len(xyz))
 
 
-def test_ranks_in_each_ring_make_the_truth_more_informative_for_lasers_that_are_not_calibrated() -> None:
-    frame = stage.frame()
-    ring = np.arange(len(frame.cloud.xyz)) % 16
-    gain = np.random.default_rng(2).uniform(0.2, 1.0, 16)[ring]
-    cloud = replace(frame.cloud, ring=ring, intensity=gain * frame.cloud.intensity)
-    image = grey.extract(frame.image)
-    excess = []
-    for equalise in ("none", "auto"):
-        options = reflectance.ReflectanceOptions(equalise=equalise)
-        view = p2o.View("stage", stage.camera(), image, reflectance.METHOD.build(options)(cloud))
-        at_truth, away = problem(mi, [view], TRUTH, bins=32, estimator="counts").cost(np.stack([TRUTH, OFF]))
-        excess.append(away - at_truth)
-    assert excess[1] > 1.2 * excess[0] > 0
+def test_what_stands_behind_is_hidden_and_what_is_far_out_of_the_image_is_left_out() -> None:
+    camera = p2o.Camera.pinhole(100.0, 100.0, 50.0, 50.0, 101, 101)
+    xyz = np.array([[0.0, 0, 5], [0, 0, 5.05], [0, 0, 6], [1.0, 0, 6], [0, 0, -3]])
+    black = p2o.GreyMap(np.zeros((101, 101)))
+    assert Sighting(camera, black, xyz, np.arange(5.0)).visible(np.eye(4), 1.0, 0.1).value.tolist() == [0, 1, 3]
+    x = np.linspace(-20, 20, 401)
+    xyz = np.column_stack([x, np.zeros(401), np.full(401, 10.0)])
+    seen = Sighting(camera, black, xyz, x).near_image(np.eye(4), 10**6)
+    # 50 px and 5 degrees of a focal length of 100 px to either side, 0.1 m a pixel.
+    assert np.abs(seen.value).max() == pytest.approx(10 * (0.505 + np.tan(np.radians(5))), abs=0.1)
+    assert len(seen.near_image(np.eye(4), 7).value) == 7
+
+
+def test_reflectance_keeps_its_bounds_and_ranks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reflectance, "_POINTS", 500)
+    options = reflectance.ReflectanceOptions(min_range_m=8, max_range_m=15, equalise="sweep")
+    points = reflectance.METHOD.build(options)(stage.frame().cloud).get("cloud-points")
+    distance = np.linalg.norm(points.xyz, axis=1)
+    assert (len(points), distance.min() >= 8, distance.max() <= 15) == (500, True, True)
+    assert points.intensity.mean() == pytest.approx(0.5, abs=0.05)

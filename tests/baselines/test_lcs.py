@@ -17,10 +17,10 @@ LINE, CIRCLE, SQUARE, CLUTTER = (
 """Rows and columns of the picture."""
 
 
-def image(grey: np.ndarray, masked: np.ndarray | None = None) -> p2o.Image:
+def image(grey: np.ndarray) -> p2o.Image:
     height, width = grey.shape
     rgb = np.repeat(grey[..., None], 3, axis=2).astype(np.uint8)
-    return p2o.Image(rgb, p2o.Camera.pinhole(100, 100, width / 2, height / 2, width, height), masked=masked)
+    return p2o.Image(rgb, p2o.Camera.pinhole(100, 100, width / 2, height / 2, width, height))
 
 
 def shown(*, clutter: bool = True) -> np.ndarray:
@@ -100,48 +100,3 @@ def test_three_sides_are_no_square() -> None:
     assert not lcs.shapes(pixels).any()
     pixels[20:36, 35] = True
     assert lcs.shapes(pixels).sum() == 60
-
-
-def test_a_picture_without_edges_gives_none() -> None:
-    assert not kept(np.full((80, 100), 128, np.uint8)).any()
-
-
-def test_masked_pixels_have_no_edges() -> None:
-    grey = shown(clutter=False)
-    masked = np.zeros(grey.shape, bool)
-    masked[LINE] = True
-    edges = lcs.METHOD.build(canny.CannyOptions())(image(grey, masked)).edges
-    assert len(edges) > 0
-    u, v = edges.uv.astype(int).T
-    assert not masked[v, u].any()
-    assert (edges.side == p2o.Side.NONE).all()
-
-
-def test_thresholds_in_the_wrong_order_are_refused() -> None:
-    with pytest.raises(p2o.InputError, match="low <= high = 50"):
-        lcs.METHOD.build(canny.CannyOptions(low=100, high=50))
-
-
-def test_every_pixel_is_in_one_chain_and_neighbours_touch() -> None:
-    pixels = canny.edge_pixels(image(shown()), canny.CannyOptions())
-    found = lcs.chains(pixels)
-    every = np.concatenate(found)
-    assert len(np.unique(every, axis=0)) == len(every) == pixels.sum()
-    assert pixels[every[:, 1], every[:, 0]].all()
-    steps = np.concatenate([np.abs(np.diff(chain, axis=0)).max(axis=1) for chain in found])
-    assert steps.min() == 1
-    assert steps.max() <= 2  # over the pixel of another chain
-    assert (steps == 2).mean() < 0.05
-
-
-def test_a_chain_is_cut_where_it_bends() -> None:
-    bent = np.array([[u, 0] for u in range(20)] + [[19, v] for v in range(1, 15)])
-    _, corners = lcs.cut(bent, 1.5)
-    assert corners.tolist() == [0, 19, 33]
-
-
-def test_the_circle_of_points_on_an_arc_is_found() -> None:
-    angle = np.radians(np.linspace(20, 170, 60))
-    arc = lcs.arc_of(np.column_stack([100 + 25 * np.cos(angle), 40 + 25 * np.sin(angle)]))
-    np.testing.assert_allclose(arc, [25.0, 0.0, 150.0], atol=1e-6)
-    assert lcs.arc_of(np.column_stack([np.arange(30), np.arange(30)])).radius_px == np.inf

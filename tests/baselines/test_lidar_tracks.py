@@ -46,12 +46,6 @@ def test_points_to_follow_are_apart_and_lie_on_no_step_in_depth() -> None:
     np.testing.assert_allclose(frame.camera.project(xyz), uv, atol=1e-6)
     cells = {tuple(cell) for cell in (uv // 10).astype(int).tolist()}
     assert len(cells) == len(uv)
-    masked = np.zeros(frame.image.grey.shape, bool)
-    masked[:, 240:] = True
-    left, _ = lidar_tracks.trackable(
-        frame.image.grey, frame.camera, masked, frame.cloud.xyz, stage.camera_from_lidar(), most=200
-    )
-    assert left[:, 0].max() < 241
 
 
 def test_places_are_followed_over_several_pictures() -> None:

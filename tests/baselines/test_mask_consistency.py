@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from p2o.errors import InputError
-from p2o_baselines.segments import attributes, masks
-from p2o_baselines.segments.cloud_segments import clusters_of, normals_of, one_a_voxel, planes_of
+from p2o_baselines.segments import masks
+from p2o_baselines.segments.cloud_segments import clusters_of, normals_of, planes_of
 from p2o_baselines.segments.mask_consistency import cells_of, scores_of
 from p2o_baselines.segments.masks import bordered, masks_of, read_masks
 from p2o_testing import stage
@@ -20,31 +20,15 @@ def scored(normal, strength, segment):
     )
 
 
-def test_points_that_are_all_alike_score_one():
-    found = scored([[0, 0, 1], [0, 0, -1], [0, 0, 1]], [0.4, 0.4, 0.4], [3])
-    assert found.normal[0] == pytest.approx(1.0)
-    assert found.strength[0] == pytest.approx(1.0)
-    assert found.segment[0] == pytest.approx(1.0)
-
-
-def test_two_walls_at_a_right_angle_score_one_half():
+def test_scores_of_a_mask_are_those_of_its_pairs_of_points():
+    alike = scored([[0, 0, 1], [0, 0, -1], [0, 0, 1]], [0.4, 0.4, 0.4], [3])
+    assert (alike.normal[0], alike.strength[0], alike.segment[0]) == pytest.approx((1.0, 1.0, 1.0))
     # Of four pairs (a, b) of normals two are parallel and two are at right angles.
     assert scored([[1, 0, 0], [0, 1, 0]], [0, 0], [2]).normal[0] == pytest.approx(0.5)
-
-
-def test_reflectance_half_black_half_white_scores_one_half():
     assert scored([[0, 0, 1]] * 4, [0, 0, 1, 1], [4]).strength[0] == pytest.approx(0.5)
-
-
-def test_segments_count_half_as_much_from_one_to_the_next():
     # Three, two and one points of three segments: (3 + 2 / 2 + 1 / 4) / 6.
     assert scored([[0, 0, 1]] * 6, [0] * 6, [1, 3, 2]).segment[0] == pytest.approx(4.25 / 6)
-
-
-def test_points_of_no_segment_tell_nothing_of_segments():
-    found = scored([[0, 0, 1]], [0.5], [0])
-    assert found.segmented[0] == 0
-    assert found.segment[0] == 0
+    assert scored([[0, 0, 1]], [0.5], [0]).segment[0] == 0
 
 
 def test_cells_stand_for_all_pairs_of_normals():
@@ -61,29 +45,20 @@ def test_a_large_mask_counts_along_its_border_only():
     assert not band[150, 200]
     assert band[20, 20]
     assert not (band & ~shape).any()
+    small = np.zeros((300, 400), bool)
+    small[20:40, 20:60] = True
+    assert np.array_equal(bordered(small), small)
 
 
-def test_a_small_mask_counts_whole():
-    shape = np.zeros((300, 400), bool)
-    shape[20:40, 20:60] = True
-    assert np.array_equal(bordered(shape), shape)
-
-
-def test_a_pixel_knows_every_mask_that_covers_it():
+def test_a_pixel_knows_every_mask_that_covers_it_and_only_the_largest_count():
     small, large = np.zeros((100, 100), bool), np.zeros((100, 100), bool)
     small[10:14, 10:14], large[8:20, 8:20] = True, True
     found = masks_of([large, small], (100, 100), 10, 1)
     assert sorted(found.labels[12, 12, :2].tolist()) == [0, 1]
     assert found.labels[18, 18].tolist() == [1, -1, -1, -1]
     assert found.area_px.tolist() == [16, 144]
-
-
-def test_only_the_largest_masks_count_and_none_that_is_too_small():
-    shapes = [np.zeros((100, 100), bool) for _ in range(3)]
-    for size, shape in zip((3, 5, 9), shapes, strict=True):
-        shape[:size, :size] = True
-    assert masks_of(shapes, (100, 100), 10, 20).area_px.tolist() == [25, 81]
-    assert masks_of(shapes, (100, 100), 1, 1).area_px.tolist() == [81]
+    assert masks_of([large, small], (100, 100), 1, 1).area_px.tolist() == [144]
+    assert masks_of([large, small], (100, 100), 10, 20).area_px.tolist() == [144]
 
 
 @pytest.fixture
@@ -91,22 +66,18 @@ def cv2():
     return pytest.importorskip("cv2")
 
 
-def test_label_images_are_read(tmp_path, cv2):
-    picture = np.zeros((4, 6), np.uint16)
-    picture[0], picture[1] = 7, 300
-    cv2.imwrite(str(tmp_path / "a_b.png"), picture)
-    found = read_masks(str(tmp_path), "a/b", (4, 6))
-    assert [mask.any(axis=1).nonzero()[0].tolist() for mask in found] == [[0], [1]]
-
-
-def test_folders_of_one_picture_a_mask_are_read(tmp_path, cv2):
+def test_label_images_and_folders_of_one_image_a_mask_are_read_and_others_refused(tmp_path, cv2):
+    labels = np.zeros((4, 6), np.uint16)
+    labels[0], labels[1] = 7, 300
+    cv2.imwrite(str(tmp_path / "a_b.png"), labels)
+    assert [mask.any(axis=1).nonzero()[0].tolist() for mask in read_masks(str(tmp_path), "a/b", (4, 6))] == [[0], [1]]
     (tmp_path / "a").mkdir()
     for row in (0, 2):
-        picture = np.zeros((4, 6, 3), np.uint8)
-        picture[row] = 255
-        cv2.imwrite(str(tmp_path / "a" / f"{row}.png"), picture)
-    found = read_masks(str(tmp_path), "a", (4, 6))
-    assert [mask.any(axis=1).nonzero()[0].tolist() for mask in found] == [[0], [2]]
+        cv2.imwrite(str(tmp_path / "a" / f"{row}.png"), np.uint8(255 * (np.arange(4) == row))[:, None].repeat(6, 1))
+    assert [mask.any(axis=1).nonzero()[0].tolist() for mask in read_masks(str(tmp_path), "a", (4, 6))] == [[0], [2]]
+    for name, size, reason in (("a/b", (8, 6), "another size"), ("c", (4, 6), "no masks of this frame")):
+        with pytest.raises(InputError, match=reason):
+            read_masks(str(tmp_path), name, size)
 
 
 def test_masks_of_the_original_image_fit_a_downsampled_one(tmp_path, cv2):
@@ -119,17 +90,6 @@ def test_masks_of_the_original_image_fit_a_downsampled_one(tmp_path, cv2):
     assert np.mean(read) == pytest.approx(np.mean(mask > 0), abs=2e-3)
     assert read[400, 300]
     assert not read[100, 300]
-
-
-def test_masks_of_another_size_are_refused(tmp_path, cv2):
-    cv2.imwrite(str(tmp_path / "a.png"), np.ones((4, 6), np.uint8))
-    with pytest.raises(InputError, match="another size"):
-        read_masks(str(tmp_path), "a", (8, 6))
-
-
-def test_a_frame_without_masks_is_named(tmp_path):
-    with pytest.raises(InputError, match="no masks of this frame"):
-        read_masks(str(tmp_path), "a", (4, 6))
 
 
 def test_the_floor_and_walls_of_a_room_are_its_planes():
@@ -158,11 +118,6 @@ def test_normals_of_a_tilted_plane_face_the_sensor():
     assert np.allclose(normals_of(xyz, 20), expected, atol=1e-6)
 
 
-def test_one_point_a_voxel_is_kept():
-    xyz = np.array([[0.01, 0, 0], [0.02, 0, 0], [0.31, 0, 0]])
-    assert one_a_voxel(xyz, 0.1).tolist() == [0, 2]
-
-
 def test_superpixels_are_further_masks():
     image = stage.frame().image
     found = [
@@ -170,9 +125,3 @@ def test_superpixels_are_further_masks():
         for kind in ("none", "slic", "seeds")
     ]
     assert 0 < found[0] < min(found[1:])
-
-
-def test_reflectance_is_scaled_by_its_largest_value():
-    found = attributes.METHOD.build(attributes.METHOD.options())(stage.frame().cloud).get("cloud-segments")
-    assert found.strength.max() == pytest.approx(1.0)
-    assert (found.segment >= 0).mean() > 0.5

@@ -6,10 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from p2o import Cloud, Frame, Image, InputError, Registry, Result, Status, calibrate, pose_error, se3
+from p2o import Cloud, Frame, Image, InputError, Result, Status, pose_error, se3
 from p2o.cli import main
 from p2o.problems.picked_pairs import PickedPairs, write_pairs
-from p2o.results.result_json import result_from_dict, result_to_dict
 from p2o.solving import Doubt, Trust
 from p2o_baselines.picked import EXAMPLE, METHOD, PickedOptions
 
@@ -110,13 +109,6 @@ def test_a_second_pose_that_fits_as_well_makes_the_result_ambiguous(tmp_path: Pa
     assert [reason.doubt for reason in found.verdict.reasons] == [Doubt.RIVAL_POSE]
 
 
-def test_the_result_survives_json(tmp_path: Path) -> None:
-    found = result(tmp_path, street=moved(picks(PINHOLE, 10), [3], np.array([[60.0, 0]])))
-    again = result_from_dict(result_to_dict(found))
-    assert again.residual_px == pytest.approx(dict(found.residual_px))
-    assert again.warnings == found.warnings
-
-
 def test_a_missing_file_is_told_before_any_frame_is_read(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="file of pairs is missing"):
         METHOD.build(PickedOptions(pairs=str(tmp_path / "none.yaml")))
@@ -129,12 +121,3 @@ def test_the_example_runs_from_the_command_line(capsys: pytest.CaptureFixture[st
     assert "10 of 12 picks agree" in said
     assert "pick 4 at (253.8, 257.3)" in said
     assert "an outlier" in said
-
-
-def test_the_words_of_a_recipe_reach_the_method(tmp_path: Path) -> None:
-    write_pairs(tmp_path / "pairs.json", {"street": picks(PINHOLE, 9)})
-    options = {"calibrator": {"pairs": str(tmp_path / "pairs.json")}}
-    run = calibrate(
-        [frame()], calibrator="picked", options=options, start=START, witness="none", registry=Registry.load()
-    )
-    assert pose_error(run.result.camera_from_lidar, TRUTH).rotation_deg < 0.01

@@ -22,14 +22,6 @@ def histogram(levels: Levels, uv: np.ndarray) -> np.ndarray:
     return out
 
 
-@kinds
-def test_the_shares_of_a_point_add_up_to_one_and_their_derivatives_to_zero(levels: Levels) -> None:
-    taps = list(levels.taps(UV, slopes=True))
-    assert sum(tap.weight for tap in taps) == pytest.approx(np.ones(40))
-    assert sum(tap.slope for tap in taps) == pytest.approx(np.zeros((40, 2)), abs=1e-12)
-    assert all((tap.weight >= 0).all() for tap in taps)
-
-
 @pytest.mark.parametrize("name", ["linear", "spline"])
 @pytest.mark.parametrize("axis", [0, 1])
 def test_derivatives_are_those_of_differences(name: str, axis: int) -> None:
@@ -39,12 +31,6 @@ def test_derivatives_are_those_of_differences(name: str, axis: int) -> None:
     said = sum(worth[tap.level] * tap.slope[:, axis] for tap in levels.taps(UV, slopes=True))
     seen = (histogram(levels, UV + step) - histogram(levels, UV - step)) @ worth / 2e-6
     assert said == pytest.approx(seen, abs=1e-6)
-
-
-@kinds
-def test_a_picture_of_one_level_gives_that_level_everywhere(levels: Levels) -> None:
-    even = type(levels)(np.full_like(VALUE if isinstance(levels, Linear) else LEVEL, 3), 8)
-    assert histogram(even, UV) == pytest.approx(np.tile(np.eye(8)[3], (40, 1)))
 
 
 @kinds

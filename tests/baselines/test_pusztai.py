@@ -15,14 +15,14 @@ from p2o_baselines.bodies.box_in_sweep import (
     Face,
     around,
     boxes_in_sweep,
-    corner_planes,
     near_corner,
     symmetries,
 )
 from p2o_baselines.target_method import Sight
 from p2o_baselines.targets import pusztai
 
-from tests.baselines.body_scene import AWAY, CAMERA, CUBOID, FISHEYE, TRUTH, corner_on, frame, picture, sweep
+from tests.baselines.board_scene import AWAY, CAMERA, FISHEYE, TRUTH, assert_near
+from tests.baselines.body_scene import CUBOID, corner_on, picture, sweep
 
 SIZE = CUBOID.size_m
 
@@ -76,46 +76,11 @@ def test_turns_that_leave_a_box_alike_leave_its_corners_in_place(size: tuple[flo
     assert len({tuple(turn.ravel().round(6)) for turn in turns}) == count
 
 
-@pytest.mark.parametrize("seed", range(8))
-def test_the_outline_of_a_box_is_the_hull_of_its_corners(seed: int) -> None:
-    import cv2
-
-    pose = corner_on(1, seed)[0]
-    corner = near_corner(se3.inverse(pose)[:3, 3], SIZE)
-    assert corner is not None
-    uv = CAMERA.project(se3.apply(pose, CUBOID.outline))
-    hull = cv2.convexHull(uv.astype(np.float32), returnPoints=False).ravel().tolist()
-    ring = around(corner)[0]
-    first = hull.index(ring[0])
-    turned = hull[first:] + hull[:first]
-    assert ring in (turned, [turned[0], *turned[:0:-1]])
-    assert np.linalg.norm(se3.apply(pose, CUBOID.outline), axis=1).argmin() == corner
-
-
-def test_three_faces_are_found_and_meet_in_the_corner() -> None:
-    rng = np.random.default_rng(0)
-    pose = se3.inverse(TRUTH) @ corner_on(1)[0]
-    eye = np.sign(se3.inverse(pose)[:3, 3])
-    points = []
-    for axis in range(3):
-        on = rng.uniform(-0.4, 0.4, (60, 3)) * SIZE  # none so near to an edge that it lies on two faces
-        on[:, axis] = eye[axis] * SIZE[axis] / 2
-        points.append(on)
-    found = corner_planes(se3.apply(pose, np.concatenate(points)), 0.01, rng)
-    assert found is not None
-    normals, offsets, members = found
-    assert np.abs(normals @ normals.T) == pytest.approx(np.eye(3), abs=1e-9)
-    assert np.linalg.solve(normals, offsets) == pytest.approx(se3.apply(pose, (eye * SIZE / 2)[None])[0], abs=1e-9)
-    assert sorted(len(m) for m in members) == [60, 60, 60]
-
-
 @pytest.mark.parametrize("count", [1, 4])
 def test_boxes_without_noise_give_the_pose_exactly(count: int) -> None:
     result = solved(sights(corner_on(count)))
     assert result.status is Status.CONVERGED, result.reason
-    error = pose_error(result.camera_from_lidar, TRUTH)
-    assert np.radians(error.rotation_deg) < 1e-6
-    assert error.translation_m < 1e-6
+    assert_near(result.camera_from_lidar, np.degrees(1e-6), 1e-6)
     assert result.matches["corners"] == 7 * count
 
 
@@ -129,13 +94,9 @@ def test_a_box_that_is_turned_to_itself_in_the_sweep_gives_the_same_pose() -> No
         assert solved(found).camera_from_lidar == pytest.approx(TRUTH, abs=1e-6)
 
 
-def test_of_the_ways_one_box_may_be_turned_the_start_takes_the_nearest_and_says_so() -> None:
+def test_boxes_that_are_turned_differently_leave_one_pose_from_the_start_of_another_turn() -> None:
     (box,) = corner_on(1)
     far = box @ symmetries(SIZE)[1] @ se3.inverse(box) @ TRUTH
-    if np.linalg.norm(far[:3, 3]) < 3:
-        assert pose_error(solved(sights([box]), far).camera_from_lidar, far).rotation_deg < 1e-3
-        assert any("poses fit the boxes equally well" in line for line in solved(sights([box])).warnings)
-    # Three boxes that are turned differently leave one pose.
     assert pose_error(solved(sights(corner_on(3)), far).camera_from_lidar, TRUTH).rotation_deg < 1e-3
 
 
@@ -227,14 +188,3 @@ def test_a_box_is_found_in_a_sweep_and_one_of_another_size_is_not() -> None:
 
 def _nearest(pose: Float) -> int:
     return int(np.linalg.norm(se3.apply(pose, CUBOID.outline), axis=1).argmin())
-
-
-def test_drawn_frames_are_calibrated_from_picture_and_sweep() -> None:
-    method = pusztai.METHOD.build(pusztai.METHOD.options())
-    prepared = [method.prepare(frame(k, [pose], CUBOID)) for k, pose in enumerate(corner_on(2, 3))]
-    result = method.solve(prepared, AWAY)
-    assert result.status is Status.CONVERGED, result.reason
-    error = pose_error(result.camera_from_lidar, TRUTH)
-    # Corners by some hundred points a face off by 1.5 cm: 3 mm each, so 0.2 deg over a box.
-    assert error.rotation_deg < 0.5
-    assert error.translation_m < 0.03

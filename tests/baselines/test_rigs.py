@@ -44,24 +44,6 @@ def test_one_file_of_splits_chooses_the_frames_of_every_rig(tmp_path: Path) -> N
     assert frames["ddad"].split(",")[1] == "@my/splits.json#ddad-dev-CAMERA_05"
 
 
-def test_parts_are_left_out_one_at_a_time_and_nothing_else_changes(tmp_path: Path) -> None:
-    (tmp_path / "rigs/nuscenes").mkdir(parents=True)
-    study = find_study("rigs-parts", REGISTRY).overridden(root=tmp_path)
-    plans = [row.resolve(REGISTRY, 0) for row in check_study(study, REGISTRY)]
-    whole, *others = (plan.parts for plan in plans)
-    changed = [
-        {
-            f"{stage}.{name}"
-            for stage, part in parts.items()
-            for name, value in dict(part.options).items()
-            if value != getattr(whole[stage].options, name)
-        }
-        for parts in others
-    ]
-    assert changed == [set(), {"cloud.open_weight"}, {"matcher.sides"}, {"cloud.shift_beams"}]
-    assert [plan.pipeline.start_sigma for plan in plans if plan.pipeline] == [None, (2.0, 0.1), None, None, None]
-
-
 def test_a_study_without_any_data_says_how_to_give_them() -> None:
     with pytest.raises(InputError, match=r"no data are given; expected --root DIR or --data NAME=DATASET:PATH .*waymo"):
         check_study(STUDY, REGISTRY)

@@ -7,17 +7,12 @@ from pathlib import Path
 import pytest
 from p2o import Registry
 from p2o.cli import main
-from p2o.run.presets import presets
 from p2o_study.report import write_report
 from p2o_study.rows import Rows
 from p2o_study.study import check_study, find_study
 
 STUDIES = ("rivals", "rivals-00", "rivals-drive")
 SMALL = "synthetic:?scenes=1&width_px=310&height_px=94&place=street&right=false&lidar=hdl-32e"
-
-
-def variants(name: str, registry: Registry) -> dict[str, object]:
-    return {v.name: v for v in find_study(name, registry).variant}
 
 
 @pytest.fixture(scope="module")
@@ -28,32 +23,6 @@ def registry() -> Registry:
 @pytest.mark.parametrize("name", [*STUDIES, "motion", "motion-drive", "motion-long", "learned"])
 def test_every_row_fits_together(name: str, registry: Registry) -> None:
     assert check_study(find_study(name, registry), registry)
-
-
-@pytest.mark.parametrize("name", [*STUDIES, "families"])
-def test_rows_have_the_label_of_their_method_which_names_what_is_missing(name: str, registry: Registry) -> None:
-    by_matcher = {preset.words["matcher"]: preset.label for preset in presets(registry).values() if preset.label}
-    by_matcher.pop("ogm", None)  # the label of the method `paper`, of which these studies have no row
-    assert "without SAM" in by_matcher["mask-consistency"]
-    rows = [row for row in check_study(find_study(name, registry), registry) if not row.words.get("calibrator")]
-    labels = {row.label: by_matcher[row.words["matcher"]] for row in rows if row.words["matcher"] in by_matcher}
-    assert len(labels) > 3
-    assert [label for label, begin in labels.items() if not label.startswith(begin)] == []
-
-
-def test_networks_are_called_stand_ins_and_are_in_no_table_of_families(registry: Registry) -> None:
-    learned = check_study(find_study("learned", registry), registry)
-    networks = {"calibnet", "calibrcnn", "lccnet", "regnet", "rggnet"}
-    used = [variant.name for variant in find_study("learned", registry).variant if variant.calibrator in networks]
-    assert used
-    assert all(name.endswith("-stand-in") for name in used)
-    assert learned
-    families = check_study(find_study("families", registry), registry)
-    assert not networks & {row.words.get("calibrator") for row in families}
-
-
-def test_both_studies_of_motion_have_the_same_methods(registry: Registry) -> None:
-    assert variants("motion", registry) == variants("motion-drive", registry)
 
 
 def test_every_matcher_of_the_baselines_is_among_them(registry: Registry) -> None:

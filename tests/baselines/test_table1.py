@@ -45,12 +45,6 @@ def test_the_rows_are_those_of_the_paper(data: str | None) -> None:
         assert data is not None or options.scenes >= 40
 
 
-def test_each_row_has_the_papers_six_figures_beside_it() -> None:
-    assert STUDY.metrics == AXES
-    assert [row.beside for row in STUDY.published] == NAMES
-    assert all(set(row.values) == set(AXES) for row in STUDY.published)
-
-
 def test_it_prints_means_and_medians_beside_the_papers_and_refused_frames_count(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

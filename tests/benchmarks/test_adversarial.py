@@ -39,16 +39,6 @@ def test_the_table_counts_false_accepts_and_false_refusals_by_kind() -> None:
     assert lines[kind][-1] == "rival-pose 1"
 
 
-def test_a_rolling_shutter_moves_the_rows_sideways_in_proportion_to_their_distance_from_the_middle() -> None:
-    rgb = np.zeros((101, 200, 3), np.uint8)
-    rgb[:, 100] = 255
-    sheared = cases.sheared(rgb, 10.0)
-    columns = sheared[:, :, 0].argmax(axis=1)
-    assert columns[50] == 100
-    assert columns[100] - 100 == pytest.approx(10, abs=1)
-    assert columns[0] - 100 == pytest.approx(-10, abs=1)
-
-
 @pytest.mark.parametrize("kind", cases.CHANGES)
 def test_a_change_keeps_the_truth_and_changes_one_of_image_camera_and_sweep(kind: str) -> None:
     frame = stage.frame()
@@ -62,9 +52,3 @@ def test_a_change_keeps_the_truth_and_changes_one_of_image_camera_and_sweep(kind
             np.array_equal(after.cloud.xyz, frame.cloud.xyz),
         )
         assert same.count(False) == 1
-
-
-def test_a_sweep_in_millimetres_has_a_thousand_times_the_range() -> None:
-    frame = stage.frame()
-    after = cases.CHANGES["units"]["millimetres"]([frame], 0)
-    assert np.linalg.norm(after.cloud.xyz, axis=1) == pytest.approx(1000 * np.linalg.norm(frame.cloud.xyz, axis=1))

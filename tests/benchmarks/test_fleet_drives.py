@@ -9,9 +9,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import p2o
 import pytest
-from fleet_drives import BEFORE, DRIVES, FRAMES, consecutive, spread_out, vehicles
+from fleet_drives import BEFORE, DRIVES, vehicles
 from p2o import se3
 from p2o.confidence.audit import AXES
 from p2o.confidence.explanation import corrected
@@ -59,20 +58,6 @@ def _waves(camera: Camera) -> np.ndarray:
 
 def _sampled(rgb: np.ndarray, uv: np.ndarray) -> np.ndarray:
     return np.asarray(cv2.remap(rgb, *np.asarray(uv, np.float32).T, cv2.INTER_LINEAR), float)
-
-
-def test_images_with_distortion_cannot_be_turned() -> None:
-    frame = stage.frame()
-    camera = Camera("OPENCV", frame.camera.width, frame.camera.height, (*frame.camera.params, 0.1, 0, 0, 0))
-    with pytest.raises(p2o.InputError, match="images without distortion"):
-        slipped(replace(frame, image=Image(frame.image.rgb, camera)), 0, 0.5)
-
-
-def test_pieces_contain_every_frame_once() -> None:
-    names = [f"{number:03d}" for number in range(70)]
-    for pieces in (consecutive(names), spread_out(names)):
-        assert sorted(name for piece in pieces for name in piece) == names
-        assert min(map(len, pieces)) >= FRAMES
 
 
 def test_the_fleet_has_more_than_fifty_drives_and_no_frame_of_the_test_split() -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import left_out
 import numpy as np
 import pytest
-from left_out import USUAL, Row, compared, fitted, report
+from left_out import USUAL, Row, compared
 from p2o.confidence.accuracy import DEFAULT_ERROR_MODEL, ErrorBudget, likely_covariance
 from p2o.results.evidence import Agreement
 
@@ -40,21 +40,6 @@ def test_the_variances_of_the_fit_are_those_of_the_predicted_error() -> None:
         assert result.budget is not None
         covariance = likely_covariance(result.budget, TRUTH, AGREEMENT, DEFAULT_ERROR_MODEL)
         assert variance == pytest.approx(np.diag(covariance), rel=1e-9)
-
-
-def test_bounds_of_a_fit_contain_the_shares_of_the_errors() -> None:
-    results = [result for result in rows() if not result.intervals]
-    model = fitted(results, intervals=False)
-    covered = [left_out._Judged.of(result, model).covered for result in results]
-    assert np.mean(covered, axis=0) == pytest.approx([0.7, 0.7, 0.95, 0.95], abs=0.06)
-
-
-def test_each_rig_has_a_line_and_wrong_pairs_that_are_trusted_are_false_accepts() -> None:
-    wrong = row("c", np.random.default_rng(1), is_right=False)
-    lines = [line.split("|") for line in report([*rows(), wrong], str).splitlines() if line.startswith("|")]
-    assert [line[1].strip() for line in lines[2:5]] == ["a", "b", "c"]
-    assert [line[2].strip() for line in lines[2:5]] == ["16, 0", "16, 0", "16, 1"]
-    assert [line[-2].strip() for line in lines[2:5]] == ["0", "0", "1"]
 
 
 def test_the_choice_for_a_rig_is_the_one_that_is_best_on_all_others() -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import mutations
 import pytest
-from mutations import MUTATIONS, Mutation, Outcome, Sound, Tree, imported, module_of, nearest_tests, report, tried
+from mutations import MUTATIONS, Mutation, Sound, Tree, tried
 
 ROOT = Path(__file__).parents[2]
 FAULT = Mutation("twice", "wrong unit", "toolkit/p2o/sums.py", "2 * x", "3 * x")
@@ -67,16 +67,3 @@ def test_a_fault_that_no_test_sees_survives_a_test_that_always_fails(tree: Path,
     (tree / "tests/test_sums.py").write_text("def test_nothing():\n    pass\n")
     outcome = tried(FAULT, *trees(tree, tmp_path), 2)
     assert (outcome.outcome, outcome.stage) == ("survived", 2)
-
-
-def test_nearest_are_tests_named_after_the_module_then_its_importers():
-    assert module_of("toolkit/p2o/cli/__init__.py") == "p2o.cli"
-    assert imported("from a.b import c\nimport d.e") == {"a.b": 1, "a.b.c": 1, "d.e": 1}
-    near = nearest_tests(ROOT, "toolkit/p2o/geometry/pose_error.py")
-    assert near[0] == "tests/toolkit/geometry/test_pose_error.py"
-    assert "tests/test_right_and_wrong_pairs.py" in near
-
-
-def test_void_outcomes_do_not_count_in_the_share():
-    outcomes = [Outcome(name, "", "", name) for name in ("caught", "survived", "void")]
-    assert report(outcomes).endswith("1 of 3 faults are caught, 1 survive, 1 are void: 50.0 %")

@@ -19,7 +19,3 @@ def test_rows_grow_with_workers_until_the_scheduler_is_always_busy() -> None:
     assert rates[2] == pytest.approx(50 * rates[0], rel=0.05)
     assert rates[3] == pytest.approx(60 / 0.01, rel=0.02)
     assert rates[4] == pytest.approx(rates[3], rel=0.02)
-
-
-def test_more_workers_than_rows_help_nobody() -> None:
-    assert simulated(10, 1000, [1.0], 0.01).rows_a_minute == pytest.approx(simulated(10, 10, [1.0], 0.01).rows_a_minute)

@@ -8,10 +8,8 @@ from pathlib import Path
 
 import limits_and_tables
 import pytest
-from p2o.frames.selection import select
 
 ROOT = Path(__file__).parents[2]
-FILE = "baselines/p2o_baselines/suites/splits.json"
 SPLITS: dict[str, list[str]] = json.loads(limits_and_tables.SPLITS.read_text(encoding="utf-8"))
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), *sorted((ROOT / "benchmarks").glob("*.py"))]
 
@@ -37,8 +35,3 @@ def test_pages_name_lists_that_are_there_and_no_folder_outside(page: Path) -> No
     assert "@splits.json" not in text
     for split in re.findall(r"@baselines/p2o_baselines/suites/splits\.json#([\w-]+)", text):
         assert split in SPLITS
-
-
-def test_a_command_of_the_pages_finds_its_frames(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(ROOT)
-    assert select(SPLITS["train"] + SPLITS["test"], f"@{FILE}#test") == list(range(84, 108))

@@ -35,3 +35,8 @@ def filled(store: Store, vehicle: str, errors: Float, **changes: object) -> None
     """Store one check for each error (T, 6) of a vehicle."""
     store.journals.mkdir(parents=True, exist_ok=True)
     store.add(evidence(drive(vehicle, at, **changes), error).row() for at, error in enumerate(errors))
+
+
+def noise(seed: int, count: int) -> Float:
+    """Return errors (T, 6) of checks without a fault."""
+    return np.asarray(np.random.default_rng(seed).normal(size=(count, 6)) * SIGMA)

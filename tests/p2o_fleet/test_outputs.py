@@ -6,7 +6,6 @@ import json
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 from p2o.host.calibration_file import read_extrinsic_file
 from p2o.host.registry import Registry
@@ -14,20 +13,16 @@ from p2o_fleet.fleet_state import FleetState, fleet_state
 from p2o_fleet.outputs import prometheus_text, proposal_name, summary_lines, write_outputs
 from p2o_fleet.store import Store
 
-from tests.p2o_fleet.fleet_data import SIGMA, filled
-
-
-def noise(seed: int, count: int = 20) -> np.ndarray:
-    return np.random.default_rng(seed).normal(size=(count, 6)) * SIGMA
+from tests.p2o_fleet.fleet_data import filled, noise
 
 
 @pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
     store = Store(tmp_path_factory.mktemp("fleet"))
-    slipped = noise(1)
+    slipped = noise(1, 20)
     slipped[10:, 2] += 0.6
     filled(store, 'van "1"', slipped)
-    filled(store, "van-2", noise(2))
+    filled(store, "van-2", noise(2, 20))
     return store
 
 
@@ -47,15 +42,10 @@ def test_json_has_the_alarm_with_axis_interval_onset_and_proposal(state: FleetSt
     assert axis["low"] < 0.6 < axis["high"]
     assert alarm["since_interval"][0] <= "2026-01-02T00:00:00Z" <= alarm["since_interval"][1]
     assert len(plain["extrinsics"]) == 2
-
-
-def test_the_proposal_is_a_file_that_extrinsic_options_read(state: FleetState, tmp_path: Path) -> None:
-    write_outputs(state, tmp_path)
     [alarmed] = state.alarms
     assert alarmed.alarm is not None
-    pose, _ = read_extrinsic_file(
-        str(tmp_path / "proposals" / proposal_name(alarmed)), "--extrinsic", registry=Registry.load(environ={})
-    )
+    file = tmp_path / "proposals" / proposal_name(alarmed)
+    pose, _ = read_extrinsic_file(str(file), "--extrinsic", registry=Registry.load(environ={}))
     assert pose == pytest.approx(alarmed.alarm.proposal, abs=1e-9)
 
 

@@ -86,26 +86,6 @@ def test_alignments_that_scatter_are_refused() -> None:
         align_sweeps(turned, GUESS)
 
 
-def test_the_covariance_of_a_mean_is_that_of_its_scatter_for_many_moments() -> None:
-    rng = np.random.default_rng(0)
-    scale = np.array([1e-3, 2e-3, 3e-3, 0.01, 0.02, 0.03])
-    deviations = scale * rng.standard_normal((400, 6))
-    covariance = alignment._covariance(deviations - deviations.mean(axis=0), np.diag(scale**2) * 1e-2)
-    np.testing.assert_allclose(np.sqrt(np.diag(covariance)), scale / 20, rtol=0.12)
-
-
-def test_the_systematic_error_grows_with_the_distance_between_rings() -> None:
-    (top, side), dense = sweeps()[0], build(SyntheticOptions(**STREET, lidar="hdl-64e"))[0].cloud
-    assert alignment._ring_spacing_deg(side) == pytest.approx(2.0, abs=0.05)
-    assert alignment._ring_spacing_deg(top) == pytest.approx(1.33, abs=0.05)
-    assert alignment._ring_spacing_deg(Cloud(top.xyz)) == 1.0
-    sparse_deg, dense_deg = (
-        np.degrees(np.sqrt(alignment._bias(pair)[0, 0])) for pair in ((dense, side), (dense, dense))
-    )
-    assert sparse_deg == pytest.approx(0.06, abs=0.005)
-    assert dense_deg < 0.02
-
-
 def test_without_small_gicp_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "small_gicp", None)
     with pytest.raises(MethodUnavailable, match=r"small_gicp, which is not installed; run: pip install .*\[gicp\]"):

@@ -45,9 +45,9 @@ def presence_slope(uv: Float, width: int, height: int, border: float) -> Float:
     with np.errstate(invalid="ignore"):
         to_low, to_high = uv - border, np.array([width, height]) - 1 - border - uv
         by_axis = np.minimum(to_low, to_high) / _FADE_PX
-    fading = (by_axis > 0).all(axis=-1) & (by_axis < 1).any(axis=-1)
+    weight = by_axis.min(axis=-1, keepdims=True)
     least = np.arange(2) == by_axis.argmin(axis=-1)[..., None]
-    return np.where(least & fading[..., None], np.where(to_low < to_high, 1, -1) / _FADE_PX, 0.0)
+    return np.where(least & (weight > 0) & (weight < 1), np.where(to_low < to_high, 1, -1) / _FADE_PX, 0.0)
 
 
 @dataclass(frozen=True, eq=False)

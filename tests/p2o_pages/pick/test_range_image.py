@@ -11,7 +11,6 @@ from p2o_pages.pick.range_image import (
     LAYERS,
     RangeImage,
     Sector,
-    bearing_angle,
     bearing_angles,
     range_image,
     sector_of,
@@ -50,13 +49,6 @@ def test_every_pixel_is_the_point_in_its_direction(rings: bool) -> None:
         assert all(len(np.unique(cloud.ring[number[row == r]])) == 1 for r in np.unique(row))
 
 
-def test_a_pixel_shows_the_nearest_of_its_points() -> None:
-    cloud = Cloud(np.array([[10.0, 0, 0], [4.0, 0, 0], [7.0, 0, 0]]), ring=np.zeros(3))
-    found = range_image(cloud, Sector(0, 10))
-    assert found.index[found.index >= 0].tolist() == [1]
-    assert np.nanmin(found.range_m) == 4
-
-
 def test_rows_are_rings_whatever_their_numbers_and_left_is_left() -> None:
     ranges = np.full((4, 40), 5.0)
     cloud = sweep(ranges)
@@ -69,19 +61,18 @@ def test_rows_are_rings_whatever_their_numbers_and_left_is_left() -> None:
     np.testing.assert_array_equal(shuffled[filled], np.arange(160).reshape(4, 40))
 
 
-def test_only_the_sector_is_shown_also_across_the_back() -> None:
+def test_only_the_sector_is_shown_also_across_the_back_and_the_nearest_point_of_a_pixel() -> None:
+    near = Cloud(np.array([[10.0, 0, 0], [4.0, 0, 0], [7.0, 0, 0]]), ring=np.zeros(3))
+    shown = range_image(near, Sector(0, 10)).index
+    assert shown[shown >= 0].tolist() == [1]
+    empty = range_image(near, Sector(180.0, 20.0))
+    assert empty.nearest(0, 0) is None
+    assert [empty.drawn(layer).shape for layer in LAYERS] == [(1, 1, 3)] * 3
     cloud = sweep(np.full((2, 720), 5.0))
     found = range_image(cloud, Sector(180.0, 60.0))
     azimuth = np.degrees(np.arctan2(*cloud.xyz[found.index[found.index >= 0], 1::-1].T))
     assert (np.abs(azimuth) >= 149.9).all()
     assert (found.index >= 0).mean() > 0.95
-
-
-def test_a_sector_without_points_is_one_empty_pixel() -> None:
-    found = range_image(sweep(np.full((2, 20), 5.0)), Sector(180.0, 20.0))
-    assert (found.index == -1).all()
-    assert found.nearest(0, 0) is None
-    assert [found.drawn(layer).shape for layer in LAYERS] == [(1, 1, 3)] * 3
 
 
 def test_a_corrected_sweep_is_shown_as_measured_and_points_are_the_corrected_ones() -> None:
@@ -103,16 +94,6 @@ def test_the_nearest_filled_pixel_is_found_within_reach() -> None:
     assert found.nearest(15, 2) is None
 
 
-def test_bearing_angles_are_those_of_the_triangle() -> None:
-    """Seen from the neighbour's beam: a right angle on a wall that stands across it, 45 deg on one that leans so."""
-    angle = np.radians(0.2)
-    across = bearing_angle(np.array(10.0), np.array(10.0 / np.cos(angle)), np.array(np.cos(angle)))
-    assert np.degrees(across) == pytest.approx(90.0)
-    slant = 10 * np.sin(np.pi / 4) / np.sin(3 * np.pi / 4 - angle)
-    leaning = bearing_angle(np.array(10.0), np.array(slant), np.array(np.cos(angle)))
-    assert np.degrees(leaning) == pytest.approx(45.0)
-
-
 def test_a_corner_shows_in_bearing_angles_and_a_wall_does_not() -> None:
     turn = (50 - np.arange(100) - 0.5) * 0.5
     left = 5.0 / np.cos(np.radians(turn - 30))
@@ -124,18 +105,6 @@ def test_a_corner_shows_in_bearing_angles_and_a_wall_does_not() -> None:
     # the two beams that it lies between.
     assert np.sort(jump)[-2:] == pytest.approx(30, abs=1)
     assert np.sort(jump)[-3] < 1
-
-
-def test_layers_colour_points_and_leave_the_rest_dark() -> None:
-    ranges = np.linspace(4, 30, 40)[None] * np.ones((4, 1))
-    cloud = sweep(ranges)
-    found = range_image(cloud, Sector(0, 30))
-    for layer in LAYERS:
-        drawn = found.drawn(layer)
-        assert (drawn[:, :9] == 24).all()
-        assert len(np.unique(drawn[:, 12:48].reshape(-1, 3), axis=0)) > 10 or layer == "bearing"
-    without = range_image(replace(cloud, intensity=None), Sector(0, 30))
-    np.testing.assert_array_equal(without.drawn("intensity"), without.drawn("bearing"))
 
 
 def test_the_sector_is_about_what_the_camera_sees() -> None:

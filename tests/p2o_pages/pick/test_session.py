@@ -82,6 +82,9 @@ def test_exact_pairs_of_two_frames_yield_the_pose_and_the_residual_of_each(sessi
         shift = np.array([(60 if uv[0] < FRAME.camera.width / 2 else -60) * (number == 4), 0])
         pick(session, uv + shift, place)
         assert (session.solved is None) == (number < 3), "from four pairs on, of all frames"
+        assert np.isnan(session.residuals().off_px).all() == (number < 3)
+    with pytest.raises(InputError, match="no point near"):
+        session.pick_point(99999999, 99999999)
     solved = session.solved
     assert solved is not None
     assert solved.camera_from_lidar is not None
@@ -97,20 +100,6 @@ def test_exact_pairs_of_two_frames_yield_the_pose_and_the_residual_of_each(sessi
     np.testing.assert_allclose(step, [60 if number == 4 else 0 for number in range(7)], atol=0.2)
     session.delete(4)
     assert session.residuals().agrees.all()
-
-
-def test_too_few_pairs_have_no_residuals(session: PickSession) -> None:
-    for each in places(session, 2):
-        pick(session, *each)
-    assert session.solved is None
-    residuals = session.residuals()
-    assert np.isnan(residuals.off_px).tolist() == [True, True]
-    assert residuals.projected is None
-
-
-def test_a_place_without_a_point_is_an_error(session: PickSession) -> None:
-    with pytest.raises(InputError, match="no point near"):
-        session.pick_point(99999999, 99999999)
 
 
 def test_if_the_file_cannot_be_written_the_pairs_are_unchanged(session: PickSession) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from p2o import Camera, Frame, Image, InputError, se3
+from p2o import Frame, Image, InputError, se3
 from p2o.draw.sweep_image import draw_sweep, sweep_colours
 from p2o_pages.view.nudge import Nudge
 from p2o_pages.view.session import KnownPose, Opened, ViewSession
@@ -111,15 +111,6 @@ def test_a_file_that_start_would_not_take_for_one_is_refused(name: str, tmp_path
 # ---- what is shown
 
 
-def test_a_cloud_is_thinned_evenly_to_a_stated_number_of_points() -> None:
-    few = ShownFrame.of(FRAME, 500).thinned
-    assert len(few) == 500
-    assert np.array_equal(few.xyz[[0, -1]], FRAME.cloud.xyz[[0, -1]])
-    assert ShownFrame.of(FRAME, len(FRAME.cloud)).thinned is FRAME.cloud
-    shown = ShownFrame.of(FRAME, 500)
-    assert (len(shown.thinned), len(shown.cloud)) == (500, len(FRAME.cloud))
-
-
 def test_a_large_picture_is_made_smaller_and_shows_the_same_places() -> None:
     factor = 6
     camera = FRAME.camera.resized(factor * FRAME.camera.width, factor * FRAME.camera.height)
@@ -149,9 +140,3 @@ def test_the_cloud_is_coloured_by_range_reflectance_or_the_image_at_a_pose() -> 
     assert np.array_equal(dumb.overlay(START, "reflectance"), dumb.overlay(START))
     with pytest.raises(InputError, match="no reflectance"):
         sweep_colours(dumb.cloud, "reflectance")
-
-
-def test_the_view_is_as_high_as_that_of_a_pinhole_camera() -> None:
-    square = Camera.pinhole(100.0, 100.0, 99.5, 99.5, 200, 200)
-    frame = Frame("square", Image(np.zeros((200, 200, 3), np.uint8), square), FRAME.cloud, camera_from_lidar=START)
-    assert np.isclose(ShownFrame.of(frame).upward_view_rad, np.pi / 2)
