@@ -58,7 +58,7 @@ def changed(registry: p2o.Registry, change: Callable[[], object]) -> set[str]:
 
     def row_keys() -> dict[str, str]:
         rows = check_study(parse_study(STUDY), registry)
-        return {row.label: Method.of(row, 0, "{}", {}, registry).digest for row in rows}
+        return {row.label: Method.of(row, "{}", {}, registry, 0).digest for row in rows}
 
     before = row_keys()
     change()
@@ -185,6 +185,8 @@ CODE = {
     "lazy/late.py": "a = 1\n",
     "weights.bin": "1",
     "README.md": "words 1",
+    "overview.json": "1",
+    "suites/splits.json": "1",
 }
 EDITS = {
     "nothing": ("inner.py", "x", "x", False),
@@ -196,6 +198,8 @@ EDITS = {
     "a module of a lazy package": ("lazy/late.py", "1", "2", True),
     "data": ("weights.bin", "1", "2", True),
     "a document": ("README.md", "1", "2", False),
+    "a list of methods": ("overview.json", "1", "2", False),
+    "frames of a suite": ("suites/splits.json", "1", "2", False),
 }
 
 

@@ -16,12 +16,17 @@ from pathlib import Path
 from typing import Any
 
 from p2o.host.method import Method
+from p2o.host.method_index import FILE as METHOD_INDEX
 from p2o.host.registry import plugin_packages
 from p2o.options import Options
+from p2o.run.overview import FILE as OVERVIEW
 
 _LOCATING = {"__file__", "__loader__", "__package__", "__path__", "__spec__", "find_spec", "importlib_resources"}
 _LOCATING |= {"inspect", "pkg_resources", "pkgutil", "resources"}
 """Names by which code finds the folder of its package, and files in it."""
+_NOT_READ = {".py", ".pyc", ".pyi", ".toml", ".md"}
+_LISTS = {METHOD_INDEX, OVERVIEW, "studies", "suites"}
+"""Files and folders of a package that state which methods, rows and frames there are; no method reads them."""
 
 
 @dataclass(frozen=True)
@@ -53,13 +58,17 @@ def code_of(method: Method, options: type[Options]) -> Code:
 
 @cache
 def data_digest(package: str) -> str:
-    """Return the digest of the data files of a package; documents (.md) and configuration (.toml) do not count."""
+    """Return the digest of the data files of a package.
+
+    Documents (.md), configuration (.toml) and lists of methods, rows and frames do not count.
+    """
     path, digest = path_of(package), hashlib.sha256()
     if path is None or path.name != "__init__.py":
         return ""
     for file in sorted(path.parent.rglob("*")):
-        if file.is_file() and file.suffix not in (".py", ".pyc", ".pyi", ".toml", ".md"):
-            digest.update(f"{file.relative_to(path.parent)} {hashlib.sha256(file.read_bytes()).hexdigest()}\n".encode())
+        name = file.relative_to(path.parent)
+        if file.is_file() and file.suffix not in _NOT_READ and not _LISTS.intersection(name.parts):
+            digest.update(f"{name} {hashlib.sha256(file.read_bytes()).hexdigest()}\n".encode())
     return digest.hexdigest()
 
 
