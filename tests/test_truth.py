@@ -111,7 +111,7 @@ def test_every_field_of_a_frame_is_looked_at_here() -> None:
 def test_without_truth_everything_stays_but_the_truth() -> None:
     frame = full_frame()
     kept = frame.without_truth()
-    # A new frame makes its poses rigid anew, which may change their last bit.
+    # A new frame makes its poses rigid again, which may change their last bit.
     changed = [f.name for f in fields(Frame) if not same(getattr(frame, f.name), getattr(kept, f.name), within=1e-14)]
     assert (changed, kept.camera_from_lidar) == (["camera_from_lidar"], None)
 

@@ -48,7 +48,7 @@ def test_exact_results_give_the_truth_whatever_their_weights() -> None:
     for camera in common.cameras:
         np.testing.assert_allclose(camera.camera_from_lidar, PLACES[camera.name] @ TRUTH, atol=1e-12)
         assert camera.rotation_deg == pytest.approx(0, abs=1e-6)
-    # A wrong transform between cameras is told though every result is exact.
+    # A wrong transform between cameras is reported although every result is exact.
     slipped = {**PLACES, "back": se3.exp(np.array([0, 0, 0, 0.5, 0, 0])) @ PLACES["back"]}
     common = rig_result(results(), slipped)
     assert [reason.doubt for reason in common.verdict.reasons] == [Doubt.CONTRADICTION]

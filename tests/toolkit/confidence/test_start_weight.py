@@ -44,7 +44,7 @@ def test_what_both_say_is_surer_about_every_axis() -> None:
 
 
 def test_errors_become_smaller_where_both_are_as_good_as_they_say() -> None:
-    """Three hundred poses and starts, wrong by the deviations that are told."""
+    # 300 poses and initial guesses, whose errors have the stated deviations.
     rng = np.random.default_rng(0)
     alone, mean = [], []
     for _ in range(300):

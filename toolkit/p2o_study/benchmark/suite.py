@@ -104,8 +104,8 @@ def find_suite(word: str, registry: Registry, folder: str | Path | None = None) 
 def check_rows(rows: Sequence[StudyRow], where: str) -> None:
     """Raise InputError for rows that are not comparable.
 
-    Every row needs the same seeds. Where our method is a row that uses the prior on the initial
-    guess, the suite also needs it without the prior, on the same data, frames and initial guesses.
+    Every row needs the same seeds. Where our method is a row that uses the prior on the initial guess, the suite also
+    needs it without the prior, on the same data, frames and initial guesses.
     """
     for row in rows:
         if row.seeds != rows[0].seeds:
