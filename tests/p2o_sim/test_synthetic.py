@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
+import subprocess
+import sys
 from collections.abc import Iterator
 from functools import cache, lru_cache
 from itertools import pairwise
@@ -121,6 +124,17 @@ def test_the_same_options_give_the_same_bytes_and_another_seed_or_scene_others()
     assert first == again
     assert all(a != b for a, b in zip(first[:4], other_scene[:4], strict=True))
     assert all(a != b for a, b in zip(first, other_seed, strict=True))
+
+
+def test_another_process_makes_the_same_bytes() -> None:
+    code = (
+        "import hashlib; from p2o_sim.synthetic import SyntheticOptions as O, build;"
+        f"f = build(O(**{SMALL!r}))[0];"
+        "print(hashlib.sha256(f.image.rgb.tobytes() + f.cloud.xyz.tobytes()).hexdigest())"
+    )
+    there = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
+    frame = build(SyntheticOptions(**SMALL))[0]
+    assert there == hashlib.sha256(frame.image.rgb.tobytes() + frame.cloud.xyz.tobytes()).hexdigest()
 
 
 def test_noise_and_camera_leave_the_place_as_it_is() -> None:
