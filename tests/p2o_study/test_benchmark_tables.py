@@ -64,6 +64,19 @@ def test_rows_that_are_not_measured_are_counted(board: Board, capsys: pytest.Cap
     assert "Rows not measured: 2." in table(board, capsys)
 
 
+def test_rows_of_seeds_and_initial_errors_that_the_suite_lacks_do_not_count(
+    board: Board, capsys: pytest.CaptureFixture[str]
+) -> None:
+    board.write(study=HEAD + QUICK_ROW)
+    board.measured()
+    assert cells(table(board, capsys), "quick")["runs"] == "15"
+    fewer = SUITE.replace("seeds = 5", "seeds = 2")
+    board.write(study=HEAD + QUICK_ROW, suite=fewer)
+    assert cells(table(board, capsys), "quick")["runs"] == "6"
+    board.write(study=HEAD + QUICK_ROW + 'perturb = "3deg 0.3m"\n', suite=fewer)
+    assert "Rows not measured: 1." in table(board, capsys)
+
+
 def opened(board: Board) -> SuiteTables:
     registry = Plugins.of((), (str(PLUGIN),)).registry()
     return SuiteTables.read(find_suite(str(board.root / "tiny.toml"), registry), board.results)

@@ -32,14 +32,15 @@ def _key(section: str, label: str, dataset: str) -> Key:
 def read_lines(suite: Suite, results: Rows, *, only_asked: bool = True) -> dict[Key, Statistics]:
     """Return the last measured rows of a suite by line, in the order of the suite, those of external methods last.
 
-    Rows that the suite does not ask for are left out with `only_asked`. No data are read.
+    Rows, initial errors and seeds that the suite does not ask for are left out with `only_asked`. No data are read.
     """
     asked = suite.all_rows()
     rows: dict[Key, list[Row]] = {key_of(row): [] for row in asked}
+    draws = {(key_of(row), row.words.get("perturb") or GIVEN, seed) for row in asked for seed in row.seeds}
     label_of = _external_labels(asked)
     for row in results.latest(suite.name):
         key = _key(row.section, label_of(row) if row.method.external else row.row, row.dataset)
-        if key in rows or row.method.external or not only_asked:
+        if (key, row.protocol, row.seed) in draws or row.method.external or not only_asked:
             rows.setdefault(key, []).append(row)
     return {key: Statistics(own, key.label, suite.group_of) for key, own in rows.items() if own}
 
