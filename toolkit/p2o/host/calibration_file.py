@@ -16,6 +16,7 @@ from p2o.arrays import Float
 from p2o.calibration_files.calibration import Calibration, Source
 from p2o.errors import InputError, MethodUnavailable, PluginError
 from p2o.files.input_file import expanded
+from p2o.frames.direction import unit_remark
 from p2o.geometry.camera import Camera
 from p2o.geometry.rough_start import is_rough_start, rough_start
 from p2o.host.guard import GuardedReader, build
@@ -47,6 +48,9 @@ def read_calibration_file(
     if calibration.lacks_image_size:
         remark = f"{path}: the camera is left out, because the file does not state the image size (?width=W&height=H)"
         calibration = replace(calibration, remarks=(remark, *calibration.remarks))
+    if calibration.camera_from_lidar is not None:
+        more = unit_remark(calibration.camera_from_lidar, "camera_from_lidar", path)
+        calibration = replace(calibration, remarks=(*calibration.remarks, *more))
     if not calibration.parts:
         text = f"this {offer.name} file holds neither a camera nor an extrinsic"
         raise InputError(text, where=path, got=calibration.remarks[0] if calibration.remarks else None)
@@ -71,6 +75,8 @@ def recognised(source: Source, registry: Registry) -> Offer:
     text = "no calibration reader recognises this file"
     expected = ", ".join(offer.name for _, offer, _ in readers) or "an installed plugin that reads calibration files"
     got = None if source.problem is None else f"{source.problem.what} ({source.problem.got})"
+    if not source.text:
+        got = "bytes that are not UTF-8 text"
     raise InputError(text, where=source.path, expected=expected, got=got, hint="; ".join(unavailable) or None)
 
 
