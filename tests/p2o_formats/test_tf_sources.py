@@ -199,8 +199,8 @@ def test_the_chain_of_a_robot_is_composed(text: str, frames: tuple[str, str]) ->
         LAUNCH.replace("$(arg z) 0 0 0", "$(eval -0.16/2) 0 0 0"),
         LAUNCH_YAML.replace("arg: {name: parent, default: pandar}", 'let: {name: parent, value: "pandar"}'),
         LAUNCH_PY.replace("HEIGHT = 1.8", "HEIGHT: float = 1.8").replace("=OPTICAL +", "=[*OPTICAL] +"),
-        LAUNCH_PY.replace("        DeclareL", "        Node(condition=IfCondition('false'), "
-                          "executable='static_transform_publisher', arguments='9 0 0 0 0 0 base_link os_sensor'.split()), DeclareL"),
+        LAUNCH_PY.replace("        DeclareL", "        Node(executable='static_transform_publisher', condition="
+                          "IfCondition('false'), arguments='9 0 0 0 0 0 base_link os_sensor'.split()), DeclareL"),
     ],
 )  # fmt: skip
 def test_parts_of_files_and_of_shells_are_read(text: str) -> None:
