@@ -14,7 +14,7 @@ from p2o import InputError, Options, field
 from p2o.reading import Calibration, FrameName, Reading, Source, listed, parse_yaml
 
 from p2o_formats.camera_entry import Lens, lens_of, read_matrix
-from p2o_formats.format import ONLY_CAMERA, Format, comment_lines, data_of, required_numbers, size_of
+from p2o_formats.format import ONLY_CAMERA, SIZE, Format, comment_lines, data_of, required_numbers, size_of
 
 
 class CameraInfoOptions(Options):
@@ -126,6 +126,7 @@ FORMAT = Format(
     rank=35,
     holds=ONLY_CAMERA,
     options=CameraInfoOptions,
+    fields=SIZE,
     recognises=recognises,
     read=read,
     write=write,

@@ -18,7 +18,7 @@ from p2o import Camera, Float, InputError, Options, field
 from p2o.reading import Calibration, FrameName, Reading, Source, listed, read_pose
 
 from p2o_formats.camera_entry import colmap_model, lens_of, unsupported_model
-from p2o_formats.format import ONLY_CAMERA, Format, comment_lines, required_numbers, select_camera, size_of
+from p2o_formats.format import NAMED_SIZE, ONLY_CAMERA, Format, comment_lines, required_numbers, select_camera, size_of
 from p2o_formats.frame_names import named_transform
 
 _KNOWN = "pinhole with radtan (k1 k2 p1 p2), equidistant, fov or none, and eucm"
@@ -144,6 +144,7 @@ FORMAT = Format(
     needs=ONLY_CAMERA,
     direction="camera_from_lidar (T_cam_lidar)",
     options=KalibrOptions,
+    fields=NAMED_SIZE | {"camera_frame"},
     recognises=recognises,
     read=read,
     write=write,

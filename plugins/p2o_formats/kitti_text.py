@@ -16,7 +16,7 @@ from p2o import Float, InputError, Options, field
 from p2o.reading import Calibration, Reading, Source
 
 from p2o_formats.camera_entry import skew_remarks
-from p2o_formats.format import ONLY_EXTRINSIC, Format, size_of
+from p2o_formats.format import NAMED_SIZE, ONLY_EXTRINSIC, Format, size_of
 from p2o_formats.kitti_calibration import KittiCalibration, calibration_of, rectified_camera, rectified_extrinsic
 
 Layout = Literal["object", "raw", "odometry", "tracking"]
@@ -111,6 +111,7 @@ FORMAT = Format(
     direction="camera_from_lidar (Tr_velo_to_cam)",
     suffix=".txt",
     options=KittiOptions,
+    fields=NAMED_SIZE,
     recognises=recognises,
     read=read,
     write=write,

@@ -1,4 +1,6 @@
-"""Read and write OpenCV's cv::FileStorage: camera_matrix, distortion_coefficients, camera_from_lidar; XML is only read.
+"""Read and write cv::FileStorage of OpenCV: camera_matrix, distortion_coefficients, camera_from_lidar.
+
+YAML is written; XML and JSON are read, too.
 
 Source: cv::FileStorage ("%YAML:1.0", `!!opencv-matrix`) with the keys of OpenCV's calibration sample; with
 `fisheye_model` the coefficients are those of cv::fisheye. OpenCV defines no key for a LiDAR; p2o writes
@@ -19,7 +21,7 @@ from p2o.reading import Calibration, Reading, Source, digits, plain
 
 from p2o_formats.camera_entry import lens_of
 from p2o_formats.camera_info import lens_from_matrix
-from p2o_formats.format import Format, comment_lines, required_numbers, size_of
+from p2o_formats.format import SIZE, Format, comment_lines, required_numbers, size_of
 from p2o_formats.frame_names import CAMERA_FROM_LIDAR, LIDAR_FROM_CAMERA, named_transform
 
 _MATRIX = ("camera_matrix", "CameraMat", "K", "cameraMatrix")
@@ -55,9 +57,10 @@ def _matrix(name: str, values: Any) -> list[str]:
 
 
 def recognises(source: Source) -> bool:
-    """Return whether cv::FileStorage wrote the file (YAML or XML) and it contains a camera matrix or a transform."""
+    """Return whether cv::FileStorage wrote the file and it contains a camera matrix or a transform."""
     keys = (*_MATRIX, *CAMERA_FROM_LIDAR, *LIDAR_FROM_CAMERA, _AUTOWARE_AI)
-    return (source.is_opencv or source.text.startswith("<")) and any(key in _tree(source) for key in keys)
+    storage = source.is_opencv or "opencv-matrix" in source.text[:100_000]
+    return storage and any(key in _tree(source) for key in keys)
 
 
 def _tree(source: Source) -> Mapping[str, Any]:
@@ -125,6 +128,7 @@ FORMAT = Format(
     summary="YAML of OpenCV's FileStorage: camera_matrix, distortion_coefficients, camera_from_lidar.",
     rank=15,
     direction="camera_from_lidar",
+    fields=SIZE,
     recognises=recognises,
     read=read,
     write=write,

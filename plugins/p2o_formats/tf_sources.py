@@ -72,6 +72,11 @@ def edges(source: Source, reading: Reading) -> list[Edge]:
         transforms = list(_of_messages(text, source.path))
     else:
         transforms = list(_of_python(text, source.path) or _of_yaml(source) or _of_shell(source))
+    if reading.direction and not _ECHO.search(text):
+        fault, hint = "the frames of the file state the direction of its transforms", "omit direction"
+        raise InputError(
+            fault, where=source.path, expected="lidar_frame, camera_frame", got=reading.direction, hint=hint
+        )
     if not transforms:
         raise InputError(
             "the file has no transform", where=source.path, expected=f"{PUBLISHER} --x ... --qw, or joints"

@@ -40,6 +40,12 @@ cam1:
   resolution: [752, 480]
 """
 CHAIN = CAMCHAIN.replace("cam1:", "  T_cam_lidar: [0, -1, 0, 0.06, 0, 0, -1, -0.08, 1, 0, 0, -0.27, 0, 0, 0, 1]\ncam1:")
+OPENCV_JSON = json.dumps(
+    {"image_width": 1280,
+     "camera_matrix": {"type_id": "opencv-matrix", "rows": 3, "cols": 3, "dt": "d", "data": [0] * 9},
+     "T_cam_lidar": {"type_id": "opencv-matrix", "rows": 4, "cols": 4, "dt": "d",
+                     "data": [0, -1, 0, 0.06, 0, 0, -1, -0.08, 1, 0, 0, -0.27, 0, 0, 0, 1]}}
+)  # fmt: skip
 OPENCV_XML = """<?xml version="1.0"?>
 <opencv_storage>
 <calibration_time>"Mon 01 Jan 2024"</calibration_time>
@@ -225,6 +231,7 @@ KITTI_DISTORTION = (-0.3, 0.1, 0.001, 0.001, -0.05, 0, 0, 0)
         (LIVO_TWO, {"name": "right"}, se3.make(KITTI_LIKE[:3, :3], [0.5, -0.08, -0.27])),
         (CALIB_ANYTHING, {}, KITTI_LIKE),
         (CALIB_ANYTHING_RESULT, {}, KITTI_LIKE),
+        (OPENCV_JSON, {}, KITTI_LIKE),
         # Kalibr: the camera has the LiDAR of the previous one.
         (CHAIN, {"name": "cam1"}, se3.make(translation=[-0.11, 0, 0]) @ KITTI_LIKE),
         ("\n".join(f"- {row}  # row" for row in KITTI_LIKE.tolist()), {}, KITTI_LIKE),
@@ -451,6 +458,19 @@ def test_what_is_wrong_is_said_in_one_line(text: str, message: str) -> None:
         (CAMCHAIN, {"name": "cam7"}, "there is no camera 'cam7'"),
         (CALIB_ANYTHING, {"name": "gt"}, "T_lidar_to_cam_gt is not available"),
         (STATED, {"direction": "camera_from_lidar"}, "the file states another direction"),
+        (
+            TEXT,
+            {"direction": "lidar_from_camera"},
+            "direction does not apply to text; expected no field; got lidar_from",
+        ),
+        (TEXT, {"name": "cam7"}, "name does not apply to text"),
+        (
+            KITTI_RAW,
+            {"direction": "lidar_from_camera"},
+            "direction does not apply to kitti; expected height, name, width",
+        ),
+        (JOINT, {"direction": "lidar_from_camera"}, "the frames of the file state the direction"),
+        (CAMERA_INFO, {"width": 640, "height": 720}, "the file states another image size; expected 1280 px; got 640"),
     ],
 )
 def test_a_reading_that_contradicts_the_file_is_refused(text: str, reading: dict[str, str], message: str) -> None:
