@@ -255,10 +255,8 @@ def test_the_name_of_a_matrix_states_its_direction(tmp_path: Path, name: str, in
     np.testing.assert_array_equal(stated.extrinsic(), KITTI_LIKE)
 
 
-def test_what_is_unlikely_about_a_file_is_stated(tmp_path: Path) -> None:
-    path = tmp_path / "millimetres.txt"
-    path.write_text(" ".join(map(str, (KITTI_LIKE * [1, 1, 1, 1000])[:3].ravel())))
-    assert "in millimetres, divide it by 1000" in read_calibration_file(path).remarks[-1]
+def test_bytes_that_are_no_text_and_transforms_of_the_imu_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.yaml"
     path.write_bytes("T_lidar_cam: é".encode("utf-16"))
     with refused("got bytes that are not UTF-8 text"):
         read_calibration_file(path)

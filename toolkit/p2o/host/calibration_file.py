@@ -16,7 +16,6 @@ from p2o.arrays import Float
 from p2o.calibration_files.calibration import Calibration, Source
 from p2o.errors import InputError, MethodUnavailable, PluginError
 from p2o.files.input_file import expanded
-from p2o.frames.direction import unit_remark
 from p2o.geometry.camera import Camera
 from p2o.geometry.rough_start import is_rough_start, rough_start
 from p2o.host.guard import GuardedReader, build
@@ -48,9 +47,6 @@ def read_calibration_file(
     if calibration.lacks_image_size:
         remark = f"{path}: the camera is left out, because the file does not state the image size (?width=W&height=H)"
         calibration = replace(calibration, remarks=(remark, *calibration.remarks))
-    if calibration.camera_from_lidar is not None:
-        more = unit_remark(calibration.camera_from_lidar, "camera_from_lidar", path)
-        calibration = replace(calibration, remarks=(*calibration.remarks, *more))
     if not calibration.parts:
         text = f"this {offer.name} file holds neither a camera nor an extrinsic"
         raise InputError(text, where=path, got=calibration.remarks[0] if calibration.remarks else None)
