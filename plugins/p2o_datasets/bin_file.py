@@ -135,7 +135,7 @@ def _is_possible(values: Any, count: int) -> bool:
 
 
 def _is_uniform(values: Any, count: int) -> bool:
-    """Return whether x and y vary alike in all rows; rows of another length have other quantities in every k-th row."""
+    """Return whether x and y have similar spreads in every k-th row; rows of another length mix quantities."""
     rows = values[: min(values.size // count, _SAMPLE) * count].reshape(-1, count)[:, :2].astype(np.float64)
     rows = rows[np.isfinite(rows).all(axis=1) & (np.abs(rows) < FAR_M).all(axis=1)]
     for period in range(2, 13) if len(rows) >= _FEWEST_ROWS else ():
