@@ -69,6 +69,14 @@ def test_options_name_frames_form_and_a_camera_of_another_file(
     assert read_calibration_file(both).camera == LENS
 
 
+def test_millimetres_are_noted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    far = POSE.copy()
+    far[:3, 3] *= 1000
+    path = _file(tmp_path, "matrix", Calibration(None, far))
+    assert main(["convert", str(path), str(tmp_path / "out"), "--to", "text"]) == 0
+    assert "camera and LiDAR are 287.9 m apart: if it is in millimetres" in capsys.readouterr().out
+
+
 def test_what_is_said_is_where_the_camera_stands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     ahead = se3.make([[0, -1, 0], [0, 0, -1], [1, 0, 0]], [0, 0, -0.3])
     path = _file(tmp_path, "kalibr", Calibration(LENS, ahead))

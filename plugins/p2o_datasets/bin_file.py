@@ -21,6 +21,10 @@ OPTION = "cloud_columns"
 _MAX_RING = 255
 # Expected violations of a rule under a wrong number of columns; at random, all are avoided once in 3000.
 _MIN_VIOLATIONS = 8
+_SAMPLE, _FEWEST_ROWS, _UNEQUAL = 20_000, 256, 30.0
+"""Number of examined rows, minimum number, and ratio of the spreads of every k-th row that hold other quantities."""
+_COLUMNS = {3: KITTI_COLUMNS[:3], **KNOWN}
+"""Columns of files that state their number."""
 
 
 def read_bin(data: bytes, path: Path, columns: Sequence[str] | None = None) -> Mapping[str, Any]:
@@ -30,7 +34,11 @@ def read_bin(data: bytes, path: Path, columns: Sequence[str] | None = None) -> M
     as `columns_of`.
     """
     values = np.frombuffer(data[: len(data) - len(data) % 4], "<f4")
-    columns = columns_of(values, path) if columns is None else columns
+    if columns is None:
+        columns = columns_of(values, path)
+    elif not _is_uniform(values, len(columns)):
+        fault, expected = f"the rows do not have {len(columns)} numbers", "the same quantities in all rows"
+        raise InputError(fault, where=path, expected=expected, got=f"{OPTION}: {' '.join(columns)[:200]}")
     row = 4 * len(columns)
     if len(data) % row:
         expected = f"a multiple of {row} bytes ({' '.join(columns)} as float32)"
@@ -48,7 +56,7 @@ def read_txt(data: bytes, path: Path, columns: Sequence[str] | None = None) -> M
     """
     if columns is None:
         first = len(next((words for line in data[:65536].splitlines() if (words := line.split())), []))
-        columns = KNOWN.get(first, KITTI_COLUMNS)
+        columns = _COLUMNS.get(first, KITTI_COLUMNS)
     return _named(read_table(data, len(columns), path), columns)
 
 
@@ -61,9 +69,8 @@ def read_rows(data: bytes, path: Path, columns: Sequence[str] | None = None) -> 
     table = read_npy(data, path)
     if table.dtype.names and columns is None:
         return {name: table[name].reshape(-1) for name in table.dtype.names if table.dtype[name].shape == ()}
-    known = {3: KITTI_COLUMNS[:3], **KNOWN}
     width = table.shape[1] if table.ndim == 2 else 0
-    names = columns or known.get(width, ())
+    names = columns or _COLUMNS.get(width, ())
     if table.dtype.kind not in "iuf" or not width or len(names) != width:
         expected = f"numbers of shape (N, {len(columns)})" if columns else "numbers of shape (N, 3) to (N, 6)"
         got, hint = f"{table.dtype} {table.shape}", f"other columns: '{OPTION}: [x, y, z, _, ring]'"
@@ -118,11 +125,24 @@ def _is_possible(values: Any, count: int) -> bool:
     rows = values[: values.size // count * count].reshape(-1, count)
     if not len(rows) or not _near(values, count) or (count > 3 and (rows[:, 3] < 0).any()):
         return False
+    if not _is_uniform(values, count):
+        return False
     if count < 5:
         return True
     ring = rows[np.isfinite(rows[:, :3]).all(axis=1), 4]
     whole = bool(len(ring) and ((ring >= 0) & (ring <= _MAX_RING) & (ring == np.floor(ring))).all())
     return whole and (count < 6 or bool(np.isfinite(rows[:, 5]).all()))
+
+
+def _is_uniform(values: Any, count: int) -> bool:
+    """Return whether x and y have similar spreads in every k-th row; rows of another length mix quantities."""
+    rows = values[: min(values.size // count, _SAMPLE) * count].reshape(-1, count)[:, :2].astype(np.float64)
+    rows = rows[np.isfinite(rows).all(axis=1) & (np.abs(rows) < FAR_M).all(axis=1)]
+    for period in range(2, 13) if len(rows) >= _FEWEST_ROWS else ():
+        spread = np.array([rows[start::period].std(axis=0) for start in range(period)])
+        if (spread.max(axis=0) > _UNEQUAL * spread.min(axis=0)).any() and (spread.max(axis=0) > 0).all():
+            return False
+    return True
 
 
 def _expected_violations(values: Any, count: int) -> float:

@@ -14,7 +14,7 @@ from typing import Any
 from p2o import Options, field, se3
 from p2o.reading import Calibration, FrameName, Reading, Source, digits, plain, read_pose, rotation_of, rpy_of
 
-from p2o_formats.format import ONLY_EXTRINSIC, Format, comment_lines
+from p2o_formats.format import FRAMES, ONLY_EXTRINSIC, Format, comment_lines
 from p2o_formats.frame_names import optical_from
 from p2o_formats.frame_tree import Edge, Posed, calibration_of
 
@@ -93,6 +93,7 @@ FORMAT = Format(
     holds=ONLY_EXTRINSIC,
     direction="base from child: sensor_kit_base_link from camera0/camera_link, and from the LiDAR",
     options=AutowareOptions,
+    fields=FRAMES | {"name", "camera_axes"},
     recognises=recognises,
     read=read,
     write=write,

@@ -12,7 +12,7 @@ from p2o.reading import Calibration, Reading, Source, matrix_rows, read_pose
 
 from p2o_formats.camera_entry import lens_of
 from p2o_formats.camera_info import lens_from_matrix
-from p2o_formats.format import EXAMPLE, Format, data_of, json_text, size_of
+from p2o_formats.format import EXAMPLE, NAMED_SIZE, Format, data_of, json_text, size_of
 
 _INITIAL, _TRUTH = "T_lidar_to_cam", "T_lidar_to_cam_gt"
 _RESULT = "Estimate extrinsic Matrix:"
@@ -67,6 +67,7 @@ FORMAT = Format(
     cite="Luo et al., 2023",
     direction="camera_from_lidar (T_lidar_to_cam)",
     suffix=".json",
+    fields=NAMED_SIZE,
     recognises=recognises,
     read=read,
     example=example,

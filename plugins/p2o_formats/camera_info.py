@@ -11,10 +11,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from p2o import InputError, Options, field
-from p2o.reading import Calibration, FrameName, Reading, Source, listed
+from p2o.reading import Calibration, FrameName, Reading, Source, listed, parse_yaml
 
 from p2o_formats.camera_entry import Lens, lens_of, read_matrix
-from p2o_formats.format import ONLY_CAMERA, Format, comment_lines, data_of, required_numbers, size_of
+from p2o_formats.format import ONLY_CAMERA, SIZE, Format, comment_lines, data_of, required_numbers, size_of
 
 
 class CameraInfoOptions(Options):
@@ -48,8 +48,19 @@ def _matrix(name: str, rows: int, columns: int, values: Any) -> list[str]:
 
 def recognises(source: Source) -> bool:
     """Return whether the file is a calibration of camera_calibration_parsers or a CameraInfo message."""
-    tree = source.tree
+    tree = _tree(source)
     return ("camera_matrix" in tree and "image_width" in tree and not source.is_opencv) or _is_message(tree)
+
+
+def _tree(source: Source) -> Mapping[str, Any]:
+    """Return the mapping of the file; of several messages of `ros2 topic echo` the first."""
+    if source.tree or "distortion_model" not in source.text:
+        return source.tree
+    try:
+        value = parse_yaml(source.text.partition("\n---\n")[0], "CameraInfo", source.path)
+    except InputError:
+        return {}
+    return value if isinstance(value, dict) else {}
 
 
 def _is_message(tree: Mapping[str, Any]) -> bool:
@@ -61,7 +72,7 @@ def read(source: Source, reading: Reading) -> Calibration:
 
     Raises InputError for invalid cameras, and for messages of binned or cropped images, whose K is of the full image.
     """
-    tree = source.tree
+    tree = _tree(source)
     if _is_message(tree):
         _check_whole(tree, source)
         matrix, d = (tree.get(key, tree.get(key.upper())) for key in "kd")
@@ -80,7 +91,9 @@ def read(source: Source, reading: Reading) -> Calibration:
 def _check_whole(tree: Mapping[str, Any], source: Source) -> None:
     region = tree.get("roi")
     keys = ("x_offset", "y_offset", "width", "height")
-    cropped = isinstance(region, Mapping) and any(map(region.get, keys))
+    values = [region.get(key) or 0 for key in keys] if isinstance(region, Mapping) else [0] * 4
+    # Some drivers state the whole image.
+    cropped = values not in ([0] * 4, [0, 0, tree.get("width"), tree.get("height")])
     binned = any(tree.get(key) not in (None, 0, 1) for key in ("binning_x", "binning_y"))
     if cropped or binned:
         fault = "the message describes a binned or cropped image, but its K the full image"
@@ -113,6 +126,7 @@ FORMAT = Format(
     rank=35,
     holds=ONLY_CAMERA,
     options=CameraInfoOptions,
+    fields=SIZE,
     recognises=recognises,
     read=read,
     write=write,

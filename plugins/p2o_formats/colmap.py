@@ -18,6 +18,8 @@ from p2o import Camera, Options, field, se3
 from p2o.reading import Calibration, FrameName, Reading, Source, plain, quaternion_xyzw, read_pose, spaced
 
 from p2o_formats.format import (
+    FRAMES,
+    NAMED_SIZE,
     ONLY_CAMERA,
     ONLY_EXTRINSIC,
     Format,
@@ -153,6 +155,7 @@ FORMAT = Format(
     direction="camera_from_lidar (cam_from_rig)",
     suffix=".json",
     options=ColmapOptions,
+    fields=FRAMES | NAMED_SIZE,
     recognises=recognises_rig,
     read=read_rig,
     write=write_rig,
@@ -164,6 +167,7 @@ CAMERAS_FORMAT = Format(
     rank=31,
     holds=ONLY_CAMERA,
     suffix=".txt",
+    fields=frozenset({"name"}),
     recognises=recognises_cameras,
     read=read_cameras,
     write=write_cameras,

@@ -13,27 +13,38 @@ import warnings
 from collections.abc import Callable, Mapping
 from typing import Any
 
-_REFERENCE = re.compile(r"\$\((?:arg|var) ([\w.-]{1,100})\)|\$\{([^{}]{1,200})\}|\$(\w{1,100})")
+_REFERENCE = re.compile(
+    r"\$\((?:arg|var) ([\w.-]{1,100})\)|\$\{([^{}]{1,200})\}|\$\(eval ['\"]?([^()'\"]{1,200})['\"]?\)|\$(\w{1,100})"
+)
 _OPERATORS: Mapping[type, Callable[[float, float], float]] = {
     ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv,
 }  # fmt: skip
 _FUNCTIONS: Mapping[str, Callable[[float], float]] = {
     "float": float, "radians": math.radians, "deg2rad": math.radians, "degrees": math.degrees,
 }  # fmt: skip
+_TRUTH = {"true": True, "1": True, "1.0": True, "false": False, "0": False, "0.0": False}
+_CONDITIONS = {"IfCondition": True, "UnlessCondition": False}
 _DEEPEST, _MAX_PYTHON = 8, 1 << 20
 
 
 def substituted(text: str, values: Mapping[str, str]) -> str:
-    """Return a text with the values of `$(arg x)`, `$(var x)`, `$x`, `${x}` and `${arithmetic of x}`.
+    """Return a text with the values of `$(arg x)`, `$(var x)`, `$x`, `${x}`, `${arithmetic of x}` and `$(eval ...)`.
 
     What is unknown remains as it is.
     """
 
     def value_of(match: re.Match[str]) -> str:
-        name = match[1] or match[2] or match[3]
-        return values[name] if name in values else (match[2] and arithmetic(match[2], values)) or match[0]
+        expression = match[2] or match[3]
+        name = match[1] or expression or match[4]
+        return values[name] if name in values else (expression and arithmetic(expression, values)) or match[0]
 
     return _REFERENCE.sub(value_of, text) if "$" in text else text
+
+
+def holds(text: str, wanted: bool) -> bool | None:
+    """Return whether the text of a condition is the `wanted` truth value, or None if it is not known."""
+    word = text.strip().lower()
+    return None if word not in _TRUTH else _TRUTH[word] is wanted
 
 
 def arithmetic(text: str, values: Mapping[str, str]) -> str | None:
@@ -50,14 +61,16 @@ class PythonFile:
 
     def __init__(self, tree: ast.AST) -> None:
         self.calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
-        assigned = [
-            (target, node.value) for node in ast.walk(tree) if isinstance(node, ast.Assign) for target in node.targets
-        ]
+        nodes = list(ast.walk(tree))
+        assigned = [(target, node.value) for node in nodes if isinstance(node, ast.Assign) for target in node.targets]
+        assigned += [(node.target, node.value) for node in nodes if isinstance(node, ast.AnnAssign) and node.value]
         for target, value in assigned:
             if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple) and len(target.elts) == len(value.elts):
                 assigned += zip(target.elts, value.elts, strict=True)
         targets = [(target.id, value) for target, value in assigned if isinstance(target, ast.Name)]
-        names = [name for name, _ in targets]
+        # Names of loops and parameters, and those that are assigned twice, have no single value.
+        names = [node.id for node in nodes if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)]
+        names += [node.arg for node in nodes if isinstance(node, ast.arg)]
         self._names = {name: value for name, value in targets if names.count(name) == 1}
         self._arguments: dict[str, ast.expr] = {}
         for call in self.calls:
@@ -82,12 +95,23 @@ class PythonFile:
         if isinstance(node, ast.Name) and node.id in self._names:
             return self.words(self._names[node.id], level + 1)
         if isinstance(node, ast.List | ast.Tuple):
-            return [self.text(item) for item in node.elts]
+            return [word for item in node.elts for word in self._item(item, level + 1)]
         if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add):
             return [*self.words(node.left, level + 1), *self.words(node.right, level + 1)]
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "split":
             return self.text(node.func.value).split()
         return self.text(node).split()
+
+    def _item(self, node: ast.expr, level: int) -> list[str]:
+        return self.words(node.value, level) if isinstance(node, ast.Starred) else [self.text(node)]
+
+    def condition(self, node: ast.expr | None) -> tuple[str, bool | None]:
+        """Return the text of the condition of a node, and whether it holds; None: unknown."""
+        if node is None:
+            return "", True
+        wanted = _CONDITIONS.get(_called(node)) if isinstance(node, ast.Call) and node.args else None
+        state = holds(self.text(node.args[0]), wanted) if isinstance(node, ast.Call) and wanted is not None else None
+        return ast.unparse(node)[:100], state
 
     def text(self, node: ast.expr | None, level: int = 0) -> str:
         """Return the text of a constant, a number, a name or a launch argument, else `$(code)`."""

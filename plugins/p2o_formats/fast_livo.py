@@ -16,7 +16,7 @@ from p2o import Camera, InputError, Options, field
 from p2o.reading import Calibration, Reading, Source, digits, listed, read_pose
 
 from p2o_formats.camera_entry import Lens, lens_of, unsupported_model
-from p2o_formats.format import Format, comment_lines, required_numbers, select_camera, size_of
+from p2o_formats.format import NAMED_SIZE, Format, comment_lines, required_numbers, select_camera, size_of
 
 _DEPTH = 4
 """Number of levels of sections in which the keys are looked for."""
@@ -127,6 +127,7 @@ FORMAT = Format(
     direction="camera_from_lidar (Rcl, Pcl)",
     suffix=".txt",
     options=FastLivoOptions,
+    fields=NAMED_SIZE,
     recognises=recognises,
     read=read,
     write=write,

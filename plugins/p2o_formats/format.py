@@ -26,6 +26,10 @@ from p2o.reading import (
 BOTH = frozenset({CAMERA, EXTRINSIC})
 ONLY_CAMERA = frozenset({CAMERA})
 ONLY_EXTRINSIC = frozenset({EXTRINSIC})
+SIZE = frozenset({"width", "height"})
+NAMED_SIZE = SIZE | {"name"}
+FRAMES = frozenset({"lidar_frame", "camera_frame"})
+"""Fields of `Reading` that several formats use."""
 
 EXAMPLE = Calibration(
     Camera("OPENCV", 640, 480, (500.0, 501.0, 320.25, 240.75, -0.1, 0.01, 0.001, 0.002)),
@@ -39,9 +43,9 @@ class Format:
     """One file format.
 
     `holds` lists the parts (`PARTS`) that the format can store, at least one of which it requires, and `needs` further
-    required ones; `direction` names the stored transform. `recognises` tests the content of a file; formats of lower
-    `rank` are tested first. `write` takes a calibration and `options`. It is None for formats that are only read, whose
-    `example` returns the bytes of a file.
+    required ones; `direction` names the stored transform. `fields` are those of `Reading` that it uses. `recognises`
+    tests the content of a file; formats of lower `rank` are tested first. `write` takes a calibration and `options`. It
+    is None for formats that are only read, whose `example` returns the bytes of a file.
     """
 
     name: str
@@ -52,6 +56,7 @@ class Format:
     holds: frozenset[str] = BOTH
     needs: frozenset[str] = frozenset()
     direction: str = ""
+    fields: frozenset[str] = frozenset()
     suffix: str = ".yaml"
     options: type[Options] = Options
     write: Callable[[Calibration, Any], bytes] | None = None
@@ -112,8 +117,16 @@ class FormatReader(CalibrationReader):
         return self._form.recognises(source)
 
     def read(self, source: Source) -> Calibration:
-        """Return the content of a file; raises InputError that names it."""
+        """Return the content of a file; raises InputError that names it, also for fields that the format ignores."""
         with naming(source.path):
+            for field in sorted(self._reading.model_fields_set - self._form.fields):
+                got = str(getattr(self._reading, field))
+                if got:
+                    fault, expected = (
+                        f"{field} does not apply to {self._form.name}",
+                        ", ".join(sorted(self._form.fields)),
+                    )
+                    raise InputError(fault, where=source.path, expected=expected or "no field", got=got)
             return self._form.read(source, self._reading)
 
     def example(self) -> bytes:
@@ -134,8 +147,13 @@ def described(calibration: Calibration, text: str) -> str:
 def size_of(width: Any, height: Any, reading: Reading, where: object) -> tuple[int, int] | None:
     """Return the image size in px of a file, or else of the reading; None if neither has one.
 
-    Raises InputError unless it consists of whole numbers.
+    Raises InputError unless it consists of whole numbers, and if both have different ones.
     """
+    for ours, other in ((width, reading.width), (height, reading.height)):
+        if ours is not None and other is not None and ours != other:
+            raise InputError(
+                "the file states another image size", where=where, expected=f"{ours} px", got=f"{other} px"
+            )
     stated = (reading.width if width is None else width, reading.height if height is None else height)
     if None in stated:
         return None

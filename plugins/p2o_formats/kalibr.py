@@ -4,6 +4,7 @@ Source: the output of Kalibr (its wiki, "YAML formats"), in which T_b_a maps poi
 the transforms of the IMU and of the previous camera (`T_cam_imu`, `T_cn_cnm1`); tools that extend its chains add
 `T_cam_lidar`, p_cam = T_cam_lidar p_lidar, as p2o does. `T_lidar_cam` is read, too. Models: pinhole with radtan
 (k1 k2 p1 p2), equidistant, fov or none, and eucm (alpha beta fu fv pu pv); p2o has no equivalent of omni and ds.
+A camera without T_cam_lidar takes that of the previous ones through T_cn_cnm1.
 """
 
 from __future__ import annotations
@@ -12,11 +13,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from p2o import Camera, InputError, Options, field
-from p2o.reading import Calibration, FrameName, Reading, Source, listed
+import numpy as np
+from p2o import Camera, Float, InputError, Options, field
+from p2o.reading import Calibration, FrameName, Reading, Source, listed, read_pose
 
 from p2o_formats.camera_entry import colmap_model, lens_of, unsupported_model
-from p2o_formats.format import ONLY_CAMERA, Format, comment_lines, required_numbers, select_camera, size_of
+from p2o_formats.format import NAMED_SIZE, ONLY_CAMERA, Format, comment_lines, required_numbers, select_camera, size_of
 from p2o_formats.frame_names import named_transform
 
 _KNOWN = "pinhole with radtan (k1 k2 p1 p2), equidistant, fov or none, and eucm"
@@ -89,13 +91,32 @@ def read(source: Source, reading: Reading) -> Calibration:
     cameras = _cameras(source)
     name = select_camera(cameras, reading.name or reading.camera_frame, "FILE#NAME", where)
     entry = cameras[name]
-    pose, remarks = named_transform(entry, where, name)
+    pose, remarks = _extrinsic(cameras, name, where)
     width, height = None, None
     if "resolution" in entry:
         width, height = required_numbers(f"{name}: resolution", entry["resolution"], 2, where, "width and height in px")
     size = size_of(width, height, reading, where)
     camera = None if size is None else _camera(entry, name, size, where)
     return Calibration(camera, pose, camera_frame=name, remarks=remarks, lacks_image_size=size is None)
+
+
+def _extrinsic(
+    cameras: Mapping[str, Mapping[str, Any]], name: str, where: Path
+) -> tuple[Float | None, tuple[str, ...]]:
+    """Return camera_from_lidar (4, 4) of a camera, through the previous cameras if they have it, and remarks."""
+    names, link = list(cameras), np.eye(4)
+    remarks: tuple[str, ...] = ()
+    for number in range(names.index(name), -1, -1):
+        entry = cameras[names[number]]
+        pose, more = named_transform(entry, where, names[number])
+        remarks += more
+        if pose is not None:
+            return link @ pose, remarks
+        if "T_cn_cnm1" not in entry:
+            break
+        step, more = read_pose(f"{names[number]}.T_cn_cnm1", entry["T_cn_cnm1"], where)
+        link, remarks = link @ step, remarks + more
+    return None, ()
 
 
 def _camera(entry: Mapping[str, Any], name: str, size: tuple[int, int], where: Path) -> Camera:
@@ -123,6 +144,7 @@ FORMAT = Format(
     needs=ONLY_CAMERA,
     direction="camera_from_lidar (T_cam_lidar)",
     options=KalibrOptions,
+    fields=NAMED_SIZE | {"camera_frame"},
     recognises=recognises,
     read=read,
     write=write,

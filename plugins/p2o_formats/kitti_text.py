@@ -16,7 +16,7 @@ from p2o import Float, InputError, Options, field
 from p2o.reading import Calibration, Reading, Source
 
 from p2o_formats.camera_entry import skew_remarks
-from p2o_formats.format import ONLY_EXTRINSIC, Format, size_of
+from p2o_formats.format import NAMED_SIZE, ONLY_EXTRINSIC, Format, size_of
 from p2o_formats.kitti_calibration import KittiCalibration, calibration_of, rectified_camera, rectified_extrinsic
 
 Layout = Literal["object", "raw", "odometry", "tracking"]
@@ -24,6 +24,9 @@ _LINE = re.compile(
     r"^(?:(?:Tr_velo_to_cam|Tr_velo_cam|Tr|R|P[0-3]|P_rect_0[0-3]|K_0[0-3]):|(?:Tr_velo_cam|R_rect) +[-+\d.])",
     re.MULTILINE,
 )
+
+
+_CAMERA = re.compile(r"(?:P|P_rect_0|K_0)([0-3])")
 
 
 class KittiOptions(Options):
@@ -52,13 +55,18 @@ def recognises(source: Source) -> bool:
 
 
 def read(source: Source, reading: Reading) -> Calibration:
-    """Return the camera that the reading names (P2, 02, 02-raw; default P2 or 02) and the extrinsic.
+    """Return the camera that the reading names (P2, 02, 02-raw; default P2 or 02, or the first) and the extrinsic.
 
     The camera is None if neither the file nor the reading gives its image size, which only calib_cam_to_cam.txt
     contains. Raises InputError for invalid numbers, cameras and transforms.
     """
     lines = calibration_of("\n".join(source.lines) + "\n" * source.text.endswith("\n"), source.path)
-    match = re.fullmatch(r"P?0?([0-3])(-raw)?", reading.name or "P2")
+    if {"R", "T"} <= lines.lines.keys() and "imu" in source.path.name.lower():
+        fault, hint = "R and T of this file map the IMU to the LiDAR", "give calib_velo_to_cam.txt"
+        raise InputError(fault, where=source.path, expected="a transform of camera and LiDAR", hint=hint)
+    numbers = sorted({match[1] for key in lines.lines if (match := _CAMERA.fullmatch(key))})
+    default = "2" if "2" in numbers or not numbers else numbers[0]
+    match = re.fullmatch(r"P?0?([0-3])(-raw)?", reading.name or default)
     number = None if match is None else match[1]
     keys = (f"P{number}", f"P_rect_0{number}", f"K_0{number}")
     if reading.name and not any(key in lines.lines for key in keys):
@@ -103,6 +111,7 @@ FORMAT = Format(
     direction="camera_from_lidar (Tr_velo_to_cam)",
     suffix=".txt",
     options=KittiOptions,
+    fields=NAMED_SIZE,
     recognises=recognises,
     read=read,
     write=write,

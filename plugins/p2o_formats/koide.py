@@ -14,7 +14,7 @@ from p2o import InputError, Options, se3
 from p2o.reading import Calibration, Reading, Source, plain, quaternion_xyzw, read_pose
 
 from p2o_formats.camera_entry import Lens, lens_of, unsupported_model
-from p2o_formats.format import BOTH, Format, json_text, required_numbers, size_of
+from p2o_formats.format import BOTH, SIZE, Format, json_text, required_numbers, size_of
 
 _RESULTS = ("T_lidar_camera", "init_T_lidar_camera", "init_T_lidar_camera_auto")
 """Key of the result, and the keys of the manual and automatic initial guesses, which are used without a result."""
@@ -95,6 +95,7 @@ FORMAT = Format(
     needs=BOTH,
     direction="lidar_from_camera (T_lidar_camera)",
     suffix=".json",
+    fields=SIZE,
     recognises=recognises,
     read=read,
     write=write,

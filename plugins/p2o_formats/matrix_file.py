@@ -1,23 +1,25 @@
 """Read and write a bare 4x4 matrix: NumPy's .npy, or text for numpy.loadtxt.
 
-An .npy file cannot state the direction of the transform; the text states it in a comment, which p2o reads. A matrix
-without a direction is taken as camera_from_lidar, unless the reading specifies it.
+An .npy file cannot state the direction of the transform; the text states it in a comment, which p2o reads. Otherwise
+the reading specifies it, or the name of the file (calib_cam_to_velo.txt); without these it is camera_from_lidar.
 """
 
 from __future__ import annotations
 
 import io
 import re
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from p2o import InputError, Options, field, se3
 from p2o.reading import Calibration, Reading, Source, read_npy, read_pose, spaced
 
 from p2o_formats.format import ONLY_EXTRINSIC, Format, comment_lines, required_numbers
+from p2o_formats.frame_names import is_camera, is_lidar
 
 _DIRECTION = re.compile(r"^\s*#.*?\bdirection:\s*(camera_from_lidar|lidar_from_camera)\b", re.MULTILINE)
-_NUMBERS = re.compile(r"[-+0-9.eEnaifNIF\s,;\[\]]+")
+_NUMBERS = re.compile(r"[-+0-9.eEnaifNIF\s]+")
+_NAMED = re.compile(r"(?P<a>[a-z]+)\d*_?(?P<word>to|from)_?(?P<b>[a-z]+)|^T_(?P<to>[a-z]+)\d*_(?P<of>[a-z]+)\d*$")
 
 
 Direction = Literal["camera_from_lidar", "lidar_from_camera"]
@@ -60,12 +62,14 @@ def recognises_npy(source: Source) -> bool:
 
 def recognises_text(source: Source) -> bool:
     """Return whether the file contains exactly 12 or 16 numbers, apart from comments."""
-    text = " ".join(source.lines)
-    return len(text) < 10_000 and bool(_NUMBERS.fullmatch(text)) and len(_words(text)) in (12, 16)
+    text = _numbers_of(source)
+    return len(text) < 10_000 and bool(_NUMBERS.fullmatch(text)) and len(text.split()) in (12, 16)
 
 
-def _words(text: str) -> list[str]:
-    return re.sub(r"[,;\[\]]", " ", text).split()
+def _numbers_of(source: Source) -> str:
+    """Return the text without comments, brackets, separators, and the dashes of lists in YAML."""
+    text = " ".join(line.partition("#")[0] for line in source.lines)
+    return re.sub(r"[,;\[\]]|(?<!\S)-(?=\s)", " ", text)
 
 
 def read_npy_matrix(source: Source, reading: Reading) -> Calibration:
@@ -79,7 +83,7 @@ def read_npy_matrix(source: Source, reading: Reading) -> Calibration:
 
 def read_text_matrix(source: Source, reading: Reading) -> Calibration:
     """Return the transform of 12 or 16 numbers; raises InputError if they are not finite or not rigid."""
-    words = _words(" ".join(source.lines))
+    words = _numbers_of(source).split()
     return _read(required_numbers("the values", words, None, source.path, "finite numbers"), source, reading)
 
 
@@ -88,12 +92,29 @@ def _read(values: Any, source: Source, reading: Reading) -> Calibration:
     stated = match[1] if match else None
     if reading.direction and stated and stated != reading.direction:
         raise InputError("the file states another direction", where=source.path, expected=reading.direction, got=stated)
-    direction = reading.direction or stated
+    named = None if stated else _named_direction(source.path.stem)
+    direction = reading.direction or stated or named
     name = direction or "camera_from_lidar"
     pose, remarks = read_pose(name, values, source.path)
     if direction is None:
         remarks = (*remarks, f"{source.path}: the file does not state a direction; camera_from_lidar is assumed")
+    elif reading.direction is None and stated is None:
+        text = f"{source.path}: read as {named} because of the file's name; if not: FILE?direction="
+        remarks = (*remarks, text + next(other for other in get_args(Direction) if other != named))
     return Calibration(None, se3.inverse(pose) if name == "lidar_from_camera" else pose, remarks=remarks)
+
+
+def _named_direction(stem: str) -> Direction | None:
+    """Return the direction that a file name states, as calib_cam_to_velo (KITTI-360) or T_lidar_camera, or None."""
+    for match in _NAMED.finditer(stem):
+        a, b = (match["to"], match["of"]) if match["to"] else (match["a"], match["b"])
+        if match["word"] == "to":
+            a, b = b, a
+        if is_camera(a) and is_lidar(b):
+            return "camera_from_lidar"
+        if is_lidar(a) and is_camera(b):
+            return "lidar_from_camera"
+    return None
 
 
 NPY_FORMAT = Format(
@@ -104,6 +125,7 @@ NPY_FORMAT = Format(
     direction="camera_from_lidar, or lidar_from_camera with direction=",
     suffix=".npy",
     options=MatrixOptions,
+    fields=frozenset({"direction"}),
     recognises=recognises_npy,
     read=read_npy_matrix,
     write=write_npy,
@@ -117,6 +139,7 @@ TEXT_FORMAT = Format(
     direction="camera_from_lidar, or lidar_from_camera with direction=",
     suffix=".txt",
     options=MatrixOptions,
+    fields=frozenset({"direction"}),
     recognises=recognises_text,
     read=read_text_matrix,
     write=write_text,

@@ -16,7 +16,17 @@ from p2o.reading import Calibration, FrameName, Reading, Source, matrix_rows, re
 
 from p2o_formats.camera_entry import lens_of, unsupported_model
 from p2o_formats.camera_info import lens_from_matrix
-from p2o_formats.format import ONLY_CAMERA, ONLY_EXTRINSIC, Format, data_of, described, json_text, size_of
+from p2o_formats.format import (
+    FRAMES,
+    NAMED_SIZE,
+    ONLY_CAMERA,
+    ONLY_EXTRINSIC,
+    Format,
+    data_of,
+    described,
+    json_text,
+    size_of,
+)
 from p2o_formats.frame_tree import Edge, calibration_of
 
 
@@ -126,6 +136,7 @@ FORMAT = Format(
     direction="camera_from_lidar (LIDAR-to-CAMERA)",
     suffix=".json",
     options=OpenCalibOptions,
+    fields=FRAMES | {"name"},
     recognises=recognises,
     read=read,
     write=write,
@@ -138,6 +149,7 @@ CAMERA_FORMAT = Format(
     holds=ONLY_CAMERA,
     suffix=".json",
     options=OpenCalibOptions,
+    fields=NAMED_SIZE,
     recognises=recognises_camera,
     read=read_camera,
     write=write_camera,

@@ -1,7 +1,10 @@
-"""Read and write YAML of OpenCV's cv::FileStorage: camera_matrix, distortion_coefficients, camera_from_lidar.
+"""Read and write cv::FileStorage of OpenCV: camera_matrix, distortion_coefficients, camera_from_lidar.
 
-Source: cv::FileStorage ("%YAML:1.0", `!!opencv-matrix`) with the keys of OpenCV's calibration sample. OpenCV defines
-no key for a LiDAR; p2o writes `camera_from_lidar` (4, 4) and reads all keys of `frame_names`. Files of
+YAML is written; XML and JSON are read, too.
+
+Source: cv::FileStorage ("%YAML:1.0", `!!opencv-matrix`) with the keys of OpenCV's calibration sample; with
+`fisheye_model` the coefficients are those of cv::fisheye. OpenCV defines no key for a LiDAR; p2o writes
+`camera_from_lidar` (4, 4) and reads all keys of `frame_names`. Files of
 Autoware.AI's calibration toolkit are read, too: CameraMat, DistCoeff, ImageSize, and CameraExtrinsicMat, which is
 lidar_from_camera (its publisher uses it as the transform of the camera in the LiDAR's frame).
 """
@@ -10,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 from p2o import InputError, Options
@@ -17,7 +21,7 @@ from p2o.reading import Calibration, Reading, Source, digits, plain
 
 from p2o_formats.camera_entry import lens_of
 from p2o_formats.camera_info import lens_from_matrix
-from p2o_formats.format import Format, comment_lines, required_numbers, size_of
+from p2o_formats.format import SIZE, Format, comment_lines, required_numbers, size_of
 from p2o_formats.frame_names import CAMERA_FROM_LIDAR, LIDAR_FROM_CAMERA, named_transform
 
 _MATRIX = ("camera_matrix", "CameraMat", "K", "cameraMatrix")
@@ -55,13 +59,41 @@ def _matrix(name: str, values: Any) -> list[str]:
 def recognises(source: Source) -> bool:
     """Return whether cv::FileStorage wrote the file and it contains a camera matrix or a transform."""
     keys = (*_MATRIX, *CAMERA_FROM_LIDAR, *LIDAR_FROM_CAMERA, _AUTOWARE_AI)
-    return source.is_opencv and any(key in source.tree for key in keys)
+    storage = source.is_opencv or "opencv-matrix" in source.text[:100_000]
+    return storage and any(key in _tree(source) for key in keys)
+
+
+def _tree(source: Source) -> Mapping[str, Any]:
+    """Return the keys of a file in YAML or XML; empty for other XML."""
+    text = source.text
+    if not text.startswith("<") or "<opencv_storage" not in text[:1000] or "<!" in text.replace("<!--", ""):
+        return source.tree
+    try:
+        return {element.tag: _xml_value(element) for element in ElementTree.fromstring(text)}
+    except (ElementTree.ParseError, ValueError, RecursionError):
+        return {}
+
+
+def _xml_value(element: ElementTree.Element) -> Any:
+    """Return the rows, cols and data of a matrix, and the numbers or the text of another element."""
+    if len(element):
+        return {part.tag: _xml_value(part) for part in element}
+    words = (element.text or "").strip().strip('"').split()
+    values = [_number(word) for word in words]
+    return values if element.tag == "data" or len(values) != 1 else values[0]
+
+
+def _number(word: str) -> int | float | str:
+    try:
+        return int(word) if word.lstrip("+-").isdecimal() else float(word)
+    except ValueError:
+        return word
 
 
 def read(source: Source, reading: Reading) -> Calibration:
     """Return the camera and the transform of the file; raises InputError for invalid matrices."""
     where = source.path
-    tree = {str(key): _array(str(key), value, source) for key, value in source.tree.items()}
+    tree = {str(key): _array(str(key), value, source) for key, value in _tree(source).items()}
     pose, remarks = named_transform(tree, where)
     if pose is None and _AUTOWARE_AI in tree:
         pose, remarks = named_transform({"lidar_from_camera": tree[_AUTOWARE_AI]}, where)
@@ -73,6 +105,8 @@ def read(source: Source, reading: Reading) -> Calibration:
         return Calibration(None, pose, remarks=remarks, lacks_image_size=key is not None)
     d_key = next((name for name in _DISTORTION if name in tree), _DISTORTION[0])
     model = tree.get("distortion_model", tree.get("DistModel"))
+    if model is None and tree.get("fisheye_model"):
+        model = "equidistant"
     lens = lens_from_matrix(key, tree[key], d_key, tree.get(d_key), model, size, source)
     return Calibration(lens.camera(), pose, remarks=remarks + lens.remarks)
 
@@ -94,6 +128,7 @@ FORMAT = Format(
     summary="YAML of OpenCV's FileStorage: camera_matrix, distortion_coefficients, camera_from_lidar.",
     rank=15,
     direction="camera_from_lidar",
+    fields=SIZE,
     recognises=recognises,
     read=read,
     write=write,

@@ -80,6 +80,7 @@ FORMAT = Format(
     rank=20,
     direction="camera_from_lidar",
     suffix=".json",
+    fields=frozenset({"name"}),
     recognises=recognises,
     read=read,
     example=example,

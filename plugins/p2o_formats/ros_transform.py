@@ -13,6 +13,7 @@ from typing import Literal
 from p2o import Options, field, se3
 from p2o.reading import Calibration, FrameName, Reading, Source, digits, quaternion_xyzw, rpy_of, spaced
 
+from p2o_formats.format import FRAMES as FRAME_FIELDS
 from p2o_formats.format import ONLY_EXTRINSIC, Format
 from p2o_formats.frame_names import optical_from
 from p2o_formats.frame_tree import calibration_of
@@ -124,6 +125,7 @@ FORMAT = Format(
     direction="parent from child: lidar_from_camera, or camera_from_lidar with parent=camera",
     suffix=".txt",
     options=RosOptions,
+    fields=FRAME_FIELDS | {"camera_axes", "direction"},
     recognises=has_transforms,
     read=read,
     write=write,

@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ import numpy as np
 from p2o import InputError, se3
 from p2o.reading import Reading, Source, parse_yaml, read_pose
 
-from p2o_formats.expressions import PythonFile, substituted
+from p2o_formats.expressions import PythonFile, holds, substituted
 from p2o_formats.frame_tree import Edge, Posed
 
 PUBLISHER = "static_transform_publisher"
@@ -45,10 +46,11 @@ _ECHO_FRAMES = re.compile(
     r"(?P<parent>[^\s-]\S{0,120}) +(?:-> +)?(?P<child>[^\s-][^\s:]{0,120})"
 )
 _ROUNDED_DEG = 0.3
+_EXPAND = "expand it first: ros2 run xacro xacro FILE"
 _UNKNOWN = re.compile(r"\$\([^()]{1,100}\)")
 _ASSIGNED = re.compile(r"\s*(?:export |readonly )?(\w{1,100})=('[^']{0,200}'|\"[^\"]{0,200}\"|[^\s;]{0,200})")
 _DOCUMENTS = re.compile(r"^---[ \t]*$", re.MULTILINE)
-_MESSAGE = re.compile(r"^(?:transforms:|header:|- |\{|\[)", re.MULTILINE)
+_MESSAGE = re.compile(r"^(?:transforms:|header:|child_frame_id:|- |\{|\[)", re.MULTILINE)
 
 
 def has_transforms(source: Source) -> bool:
@@ -70,6 +72,11 @@ def edges(source: Source, reading: Reading) -> list[Edge]:
         transforms = list(_of_messages(text, source.path))
     else:
         transforms = list(_of_python(text, source.path) or _of_yaml(source) or _of_shell(source))
+    if reading.direction and not _ECHO.search(text):
+        fault, hint = "the frames of the file state the direction of its transforms", "omit direction"
+        raise InputError(
+            fault, where=source.path, expected="lidar_frame, camera_frame", got=reading.direction, hint=hint
+        )
     if not transforms:
         raise InputError(
             "the file has no transform", where=source.path, expected=f"{PUBLISHER} --x ... --qw, or joints"
@@ -109,10 +116,13 @@ def _of_python(text: str, path: Path) -> list[Edge]:
         keywords = {word.arg: word.value for word in call.keywords}
         program = file.text(keywords.get("executable", keywords.get("node_executable")))
         command = file.words(keywords.get("cmd"))
-        if program == PUBLISHER:
-            transforms += _publisher(file.words(keywords.get("arguments")), path)
-        elif PUBLISHER in command:
-            transforms += _publisher(command[command.index(PUBLISHER) + 1 :], path)
+        condition, state = file.condition(keywords.get("condition"))
+        edges: Iterable[Edge] = ()
+        if state is not False and program == PUBLISHER:
+            edges = _publisher(file.words(keywords.get("arguments")), path)
+        elif state is not False and PUBLISHER in command:
+            edges = _publisher(command[command.index(PUBLISHER) + 1 :], path)
+        transforms += [_conditional(edge, "" if state else condition, path) for edge in edges]
     return transforms
 
 
@@ -122,13 +132,14 @@ def _of_yaml(source: Source) -> list[Edge]:
     values: dict[str, str] = {}
     while level:
         for entry in (entry for entry in level if isinstance(entry, dict)):
-            if "name" in entry and "default" in entry:
-                values[str(entry["name"])] = str(entry["default"])
+            if "name" in entry and ("default" in entry or "value" in entry):
+                values[str(entry["name"])] = str(entry.get("default", entry.get("value")))
         nodes = [
             entry for entry in level if isinstance(entry, dict) and PUBLISHER in (entry.get("exec"), entry.get("type"))
         ]
         arguments += [str(node.get("args", "")) for node in nodes]
-        level = [i for v in level if isinstance(v, dict | list) for i in (v.values() if isinstance(v, dict) else v)]
+        parts = [[v for k, v in p.items() if k != "include"] if isinstance(p, dict) else p for p in level]
+        level = [inner for part in parts if isinstance(part, list) for inner in part]
     return [edge for text in arguments for edge in _publisher(_words(substituted(text, values)), source.path)]
 
 
@@ -228,57 +239,95 @@ def _of_xml(text: str, path: Path) -> Iterator[Edge]:
     except (ElementTree.ParseError, ValueError, RecursionError) as problem:
         expected = "URDF, xacro or a launch file"
         raise InputError("this is not XML", where=path, expected=expected, got=str(problem)) from problem
-    values: dict[str, str] = {}
-    for element in root.iter():
-        if _tag(element) in ("arg", "let", "property"):
-            value = next((element.get(key) for key in ("value", "default") if element.get(key) is not None), None)
-            if value is not None:
-                values.setdefault(element.get("name", ""), substituted(value, values))
-    for element in _active(root, values):
+    for element, values, condition in _active(root):
+        edges: Iterable[Edge] = ()
         if _tag(element) == "joint":
             ends = [element.find(key) for key in ("parent", "child")]
             parent, child = ("" if end is None else substituted(end.get("link", ""), values) for end in ends)
             if parent and child:
-                yield Edge(parent, child, partial(_joint, element, values, path))
+                edges = [Edge(parent, child, partial(_joint, element, _origin(element, values), path))]
         elif PUBLISHER in (element.get("type"), element.get("exec")):
-            yield from _publisher(_words(substituted(element.get("args", ""), values)), path)
+            edges = _publisher(_words(substituted(element.get("args", ""), values)), path)
         elif PUBLISHER in (words := _words(substituted(element.get("cmd", ""), values))):
-            yield from _publisher(words[words.index(PUBLISHER) + 1 :], path)
+            edges = _publisher(words[words.index(PUBLISHER) + 1 :], path)
+        yield from (_conditional(edge, condition, path) for edge in edges)
 
 
 def _tag(element: ElementTree.Element) -> str:
     return element.tag.rpartition("}")[2] if isinstance(element.tag, str) else ""
 
 
-def _active(root: ElementTree.Element, values: Mapping[str, str]) -> Iterator[ElementTree.Element]:
-    """Yield the elements in order, without those whose condition (if, unless) is known to be false."""
-    stack = [root]
+def _active(root: ElementTree.Element) -> Iterator[tuple[ElementTree.Element, Mapping[str, str], str]]:
+    """Yield the elements in order, without those whose condition (if, unless) is known to be false.
+
+    With each element: the values that are defined before it, and its condition if that is unknown, else "". In a macro,
+    its parameters are unknown.
+    """
+    values: dict[str, str] = {}
+    stack = [(root, values, "")]
     while stack:
-        element = stack.pop()
-        conditions = (("if", ("false", "0")), ("unless", ("true", "1")))
-        if not any(substituted(element.get(key, ""), values).strip().lower() in off for key, off in conditions):
-            yield element
-            stack += reversed(element)
+        element, values, condition = stack.pop()
+        tag = _tag(element)
+        texts = [(key, element.get(key, "" if tag != key else element.get("value", ""))) for key in ("if", "unless")]
+        known = [(key, text, holds(substituted(text, values), key == "if")) for key, text in texts if text]
+        if any(state is False for *_, state in known):
+            continue
+        condition = next((f"{key} {text}" for key, text, state in known if state is None), condition)
+        value = element.get("value", element.get("default"))
+        if tag in ("arg", "let", "property") and value is not None:
+            name = element.get("name", "")
+            # A property has its last value, an argument its first.
+            if name not in values or (tag != "arg" and element.get("value") is not None):
+                values[name] = substituted(value, values)
+        elif tag == "macro":
+            parameters = [word.partition(":=")[0].lstrip("*") for word in element.get("params", "").split()]
+            values = {**values, **{name: f"${{{name}}}" for name in parameters}}
+        yield element, values, condition
+        # The arguments of an included file are its own.
+        stack += [(child, values, condition) for child in reversed(element) if tag != "include"]
 
 
-def _joint(joint: ElementTree.Element, values: Mapping[str, str], path: Path) -> Posed:
+def _conditional(edge: Edge, condition: str, path: Path) -> Edge:
+    """Return a transform whose pose has a remark on its condition, unless this is empty."""
+    if not condition:
+        return edge
+    name = f"the transform from {edge.child} to {edge.parent}"
+    remark = f"{path}: {name} is used, but its condition is unknown: {condition[:100]}"
+
+    def pose() -> Posed:
+        value, remarks = edge.pose()
+        return value, (*remarks, remark)
+
+    return replace(edge, pose=pose)
+
+
+def _origin(joint: ElementTree.Element, values: Mapping[str, str]) -> dict[str, str]:
+    """Return the texts of the attributes of a joint's origin."""
+    origin = joint.find("origin")
+    return {} if origin is None else {key: substituted(text, values) for key, text in origin.items()}
+
+
+def _joint(joint: ElementTree.Element, origin: Mapping[str, str], path: Path) -> Posed:
     name = joint.get("name", "joint")
+    if any(_tag(part) == "insert_block" for part in joint):
+        fault, expected = f"the origin of joint {name} is a block of a macro of xacro", "an origin with numbers"
+        raise InputError(fault, where=path, expected=expected, hint=_EXPAND)
     if joint.get("type", "fixed") != "fixed":
         fault, hint = (
             f"joint {name} between LiDAR and camera is not fixed",
             ("write the transform at its position in the recording to a file: ros2 run tf2_ros tf2_echo LIDAR CAMERA"),
         )
         raise InputError(fault, where=path, expected="fixed joints", got=joint.get("type"), hint=hint)
-    origin = joint.find("origin")
+    rotation = "quat_xyzw" if "quat_xyzw" in origin else "rpy"
     numbers = {}
-    for key in ("xyz", "rpy"):
-        text = "0 0 0" if origin is None else substituted(origin.get(key, "0 0 0"), values)
+    for key in ("xyz", rotation):
+        text = origin.get(key, "0 0 0")
         if "$" in text:
             fault = f"{key} of joint {name} is an expression of xacro"
-            hint = "expand it first: ros2 run xacro xacro FILE"
-            raise InputError(fault, where=path, expected="numbers", got=text, hint=hint)
+            raise InputError(fault, where=path, expected="numbers", got=text, hint=_EXPAND)
         numbers[key] = [_float(word, f"{key} of joint {name}", path) for word in text.split()]
-    return read_pose(f"joint {name}", {"rpy_rad": numbers["rpy"], "translation_m": numbers["xyz"]}, path)
+    form = "rpy_rad" if rotation == "rpy" else "rotation_xyzw"
+    return read_pose(f"joint {name}", {form: numbers[rotation], "translation_m": numbers["xyz"]}, path)
 
 
 # ---- output of ROS tools

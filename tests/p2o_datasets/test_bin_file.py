@@ -69,7 +69,7 @@ def test_what_fits_several_ways_is_refused_and_the_option_settles_it(tmp_path: P
     # Whole numbers that are never negative break no rule in any reading.
     written = np.abs(np.floor(rows(4)))
     path = write(tmp_path / "a.bin", written)
-    with pytest.raises(InputError, match=r"ambiguous; .*got rows of 3 or 4 or 5 or 6 fit; .*cloud_columns: \[x, y"):
+    with pytest.raises(InputError, match=r"ambiguous; .*got rows of 4 or 5 or 6 fit; .*cloud_columns: \[x, y"):
         read_cloud(path)
     cloud, _ = read_cloud(path, columns=("x", "y", "z", "intensity"))
     assert np.array_equal(cloud.xyz, written[:, :3])
@@ -112,9 +112,23 @@ def test_text_has_the_columns_of_its_first_line(tmp_path: Path) -> None:
     assert np.array_equal(cloud.ring, written[:, 4])
     assert np.array_equal(cloud.time_s.astype("<f4"), written[:, 5])
     np.savetxt(tmp_path / "a.txt", written[:, :3], fmt="%.9g")
-    with pytest.raises(InputError, match=r"other columns; expected 4 numbers per line; got 3 numbers"):
+    assert len(read_cloud(tmp_path / "a.txt")[0]) == len(written)
+    np.savetxt(tmp_path / "a.txt", written[:, :2], fmt="%.9g")
+    with pytest.raises(InputError, match=r"other columns; expected 4 numbers per line; got 2 numbers"):
         read_cloud(tmp_path / "a.txt")
-    assert len(read_cloud(tmp_path / "a.txt", columns=("x", "y", "z"))[0]) == len(written)
+
+
+@pytest.mark.parametrize("width", [5, 7, 8, 9, 10, 12])
+def test_rows_of_another_length_are_no_points(tmp_path: Path, width: int) -> None:
+    known = rows(6, 2400)
+    written = np.column_stack([known[:, :4], *[known[:, 5] + number for number in range(width - 4)]])
+    path = write(tmp_path / "a.bin", written)
+    with pytest.raises(InputError, match="columns"):
+        read_cloud(path)
+    with pytest.raises(InputError, match=r"the rows do not have 3 numbers; .*cloud_columns: x y z"):
+        read_cloud(path, columns=("x", "y", "z"))
+    cloud, _ = read_cloud(path, columns=("x", "y", "z", "intensity", *["_"] * (width - 4)))
+    assert np.array_equal(cloud.xyz, known[:, :3])
 
 
 @pytest.mark.parametrize("count", [240, 241, 242, 243])

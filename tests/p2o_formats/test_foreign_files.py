@@ -39,6 +39,33 @@ cam1:
   intrinsics: [457.6, 456.1, 379.9, 255.2]
   resolution: [752, 480]
 """
+CHAIN = CAMCHAIN.replace("cam1:", "  T_cam_lidar: [0, -1, 0, 0.06, 0, 0, -1, -0.08, 1, 0, 0, -0.27, 0, 0, 0, 1]\ncam1:")
+OPENCV_JSON = json.dumps(
+    {"image_width": 1280,
+     "camera_matrix": {"type_id": "opencv-matrix", "rows": 3, "cols": 3, "dt": "d", "data": [0] * 9},
+     "T_cam_lidar": {"type_id": "opencv-matrix", "rows": 4, "cols": 4, "dt": "d",
+                     "data": [0, -1, 0, 0.06, 0, 0, -1, -0.08, 1, 0, 0, -0.27, 0, 0, 0, 1]}}
+)  # fmt: skip
+OPENCV_XML = """<?xml version="1.0"?>
+<opencv_storage>
+<calibration_time>"Mon 01 Jan 2024"</calibration_time>
+<image_width>1280</image_width>
+<image_height>720</image_height>
+<camera_matrix type_id="opencv-matrix">
+  <rows>3</rows>
+  <cols>3</cols>
+  <dt>d</dt>
+  <data>
+    700. 0. 640. 0. 705.
+    360. 0. 0. 1.</data></camera_matrix>
+<distortion_coefficients type_id="opencv-matrix">
+  <rows>4</rows>
+  <cols>1</cols>
+  <dt>d</dt>
+  <data>
+    -2.8e-01 8.0e-02 1e-3 -2e-3</data></distortion_coefficients>
+</opencv_storage>
+"""
 CAMERA_INFO = """
 image_width: 1280
 image_height: 720
@@ -204,10 +231,39 @@ KITTI_DISTORTION = (-0.3, 0.1, 0.001, 0.001, -0.05, 0, 0, 0)
         (LIVO_TWO, {"name": "right"}, se3.make(KITTI_LIKE[:3, :3], [0.5, -0.08, -0.27])),
         (CALIB_ANYTHING, {}, KITTI_LIKE),
         (CALIB_ANYTHING_RESULT, {}, KITTI_LIKE),
+        (OPENCV_JSON, {}, KITTI_LIKE),
+        # Kalibr: the camera has the LiDAR of the previous one.
+        (CHAIN, {"name": "cam1"}, se3.make(translation=[-0.11, 0, 0]) @ KITTI_LIKE),
+        ("\n".join(f"- {row}  # row" for row in KITTI_LIKE.tolist()), {}, KITTI_LIKE),
     ],
 )
 def test_transforms_as_other_tools_write_them(text: str, reading: dict[str, str], pose: np.ndarray) -> None:
     np.testing.assert_allclose(read_text(text, **reading).extrinsic(), pose, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "inverted"),
+    [("calib_cam_to_velo", True), ("T_lidar_camera", True), ("lidar2cam0", False), ("cam_to_cam", False), ("a", False)],
+)
+def test_the_name_of_a_matrix_states_its_direction(tmp_path: Path, name: str, inverted: bool) -> None:
+    path = tmp_path / f"{name}.txt"
+    path.write_text(" ".join(map(str, KITTI_LIKE[:3].ravel())))
+    found = read_calibration_file(path)
+    np.testing.assert_allclose(found.extrinsic(), se3.inverse(KITTI_LIKE) if inverted else KITTI_LIKE, atol=1e-12)
+    assert len(found.remarks) == 1
+    stated = read_calibration_file(path, options={"direction": "camera_from_lidar"})
+    np.testing.assert_array_equal(stated.extrinsic(), KITTI_LIKE)
+
+
+def test_bytes_that_are_no_text_and_transforms_of_the_imu_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.yaml"
+    path.write_bytes("T_lidar_cam: é".encode("utf-16"))
+    with refused("got bytes that are not UTF-8 text"):
+        read_calibration_file(path)
+    path = tmp_path / "calib_imu_to_velo.txt"
+    path.write_text("R: 1 0 0 0 1 0 0 0 1\nT: -0.81 0.32 -0.8\n")
+    with refused("map the IMU to the LiDAR"):
+        read_calibration_file(path)
 
 
 LIVO_LENS = (1293.56944, 1293.3155, 626.91359, 522.799224, -0.076160, 0.123001, -0.00113, 0.000251)
@@ -224,6 +280,13 @@ EQUIDISTANT = CAMCHAIN.replace("equidistant", "KannalaBrandt4"), {"name": "cam1"
         # The camera of the raw image, not of the rectified one.
         (CAMERA_INFO, {}, "OPENCV", 1280, 720, (700, 705, 640, 360, -0.28, 0.08, 0.001, -0.002)),
         (ECHO, {}, "OPENCV_FISHEYE", 1280, 720, (700, 705, 640, 360, 0.1, 0.01, 0, 0)),
+        (ECHO + ECHO, {}, "OPENCV_FISHEYE", 1280, 720, (700, 705, 640, 360, 0.1, 0.01, 0, 0)),
+        (ECHO.replace("height: 0, width: 0", "height: 720, width: 1280"), {}, "OPENCV_FISHEYE", 1280, 720,
+         (700, 705, 640, 360, 0.1, 0.01, 0, 0)),
+        (OPENCV_XML, {}, "OPENCV", 1280, 720, (700, 705, 640, 360, -0.28, 0.08, 0.001, -0.002)),
+        (OPENCV_XML.replace("<camera_", "<fisheye_model>1</fisheye_model><camera_", 1), {}, "OPENCV_FISHEYE", 1280, 720,
+         (700, 705, 640, 360, -0.28, 0.08, 0.001, -0.002)),
+        (KITTI_RAW.replace("02:", "00:"), {}, "PINHOLE", 1242, 375, (700, 700, 600, 180)),
         (KITTI_RAW, {}, "PINHOLE", 1242, 375, (700, 700, 600, 180)),
         (KITTI_RAW, {"name": "02-raw"}, "FULL_OPENCV", 1392, 512, (900, 900, 700, 250, *KITTI_DISTORTION)),
         (AUTOWARE_AI, {}, "OPENCV", 640, 480, (700, 700, 320, 240, -0.1, 0.01, 0, 0)),
@@ -232,7 +295,7 @@ EQUIDISTANT = CAMCHAIN.replace("equidistant", "KannalaBrandt4"), {"name": "cam1"
         (LIVO_FISHEYE_WITHOUT_SIZE, {"width": 720, "height": 540}, "OPENCV_FISHEYE", 720, 540, LIVO_FISHEYE_LENS),
         (CALIB_ANYTHING, {"width": 1920, "height": 1080}, "OPENCV", 1920, 1080, ANYTHING_LENS),
     ],
-)
+)  # fmt: skip
 def test_cameras_as_other_tools_write_them(
     text: str, reading: dict[str, Any], model: str, width: int, height: int, params: tuple[float, ...]
 ) -> None:
@@ -393,6 +456,19 @@ def test_what_is_wrong_is_said_in_one_line(text: str, message: str) -> None:
         (CAMCHAIN, {"name": "cam7"}, "there is no camera 'cam7'"),
         (CALIB_ANYTHING, {"name": "gt"}, "T_lidar_to_cam_gt is not available"),
         (STATED, {"direction": "camera_from_lidar"}, "the file states another direction"),
+        (
+            TEXT,
+            {"direction": "lidar_from_camera"},
+            "direction does not apply to text; expected no field; got lidar_from",
+        ),
+        (TEXT, {"name": "cam7"}, "name does not apply to text"),
+        (
+            KITTI_RAW,
+            {"direction": "lidar_from_camera"},
+            "direction does not apply to kitti; expected height, name, width",
+        ),
+        (JOINT, {"direction": "lidar_from_camera"}, "the frames of the file state the direction"),
+        (CAMERA_INFO, {"width": 640, "height": 720}, "the file states another image size; expected 1280 px; got 640"),
     ],
 )
 def test_a_reading_that_contradicts_the_file_is_refused(text: str, reading: dict[str, str], message: str) -> None:

@@ -50,6 +50,9 @@ XACRO = """<robot xmlns:xacro="http://www.ros.org/wiki/xacro">
 <joint name="c" type="fixed"><parent link="$(arg prefix)camera_link"/><child link="$(arg prefix)camera_optical"/>
   <origin rpy="${-pi/2} 0 ${-pi / 2}"/></joint>
 </robot>"""
+MACRO = XACRO.replace(
+    '<joint name="a"', '<xacro:macro name="sensor" params="*origin height:=2"><joint name="a"'
+).replace('<origin xyz="0 0 ${height}"/></joint>', '<xacro:insert_block name="origin"/></joint></xacro:macro>')
 LAUNCH = """<launch>
   <arg name="z" default="-0.08"/><arg name="use_old" default="false"/>
   <!-- <node pkg="tf" type="static_transform_publisher" name="o" args="9 9 9 0 0 0 rslidar camera_link 100"/> -->
@@ -181,10 +184,37 @@ def test_the_chain_of_a_robot_is_composed(text: str, frames: tuple[str, str]) ->
         '<launch><executable cmd="ros2 run tf2_ros static_transform_publisher --x 0.27 --y 0.06 --z -0.08 '
         '--frame-id velodyne --child-frame-id camera_link"/></launch>',
         message("os_sensor", "cam0", "0.27 0.06 -0.08", Q)[2:].replace("\n  ", "\n"),
+        # Apollo sorts the keys.
+        "child_frame_id: cam0\nheader: {frame_id: os_sensor}\ntransform: {rotation: {w: 0.5, x: -0.5, y: 0.5, z: -0.5},"
+        " translation: {x: 0.27, y: 0.06, z: -0.08}}\n",
+        # A property has the value that was set last, and branches whose condition is false do not exist.
+        XACRO.replace('<joint name="b"', '<xacro:property name="height" value="${height + 1}"/><joint name="b"')
+        .replace("height - 0.08", "height - 1.08"),
+        XACRO.replace('<joint name="a"', '<xacro:if value="$(arg sim)"><joint name="x" type="fixed"><parent link='
+                      '"base_link"/><child link="hesai_lidar"/></joint></xacro:if><joint name="a"')
+        .replace("<xacro:property", '<xacro:arg name="sim" default="false"/><xacro:property', 1),
+        urdf(("velodyne", "cam0", "0.27 0.06 -0.08", "")).replace('rpy=""', f'quat_xyzw="{Q}"'),
+        # The arguments of included files are their own.
+        LAUNCH.replace("<arg", '<include file="a.launch"><arg name="z" value="9"/></include><arg', 1),
+        LAUNCH.replace("$(arg z) 0 0 0", "$(eval -0.16/2) 0 0 0"),
+        LAUNCH_YAML.replace("arg: {name: parent, default: pandar}", 'let: {name: parent, value: "pandar"}'),
+        LAUNCH_PY.replace("HEIGHT = 1.8", "HEIGHT: float = 1.8").replace("=OPTICAL +", "=[*OPTICAL] +"),
+        LAUNCH_PY.replace("        DeclareL", "        Node(executable='static_transform_publisher', condition="
+                          "IfCondition('false'), arguments='9 0 0 0 0 0 base_link os_sensor'.split()), DeclareL"),
     ],
-)
+)  # fmt: skip
 def test_parts_of_files_and_of_shells_are_read(text: str) -> None:
     np.testing.assert_allclose(read_text(text).extrinsic(), AHEAD, atol=1e-6)
+
+
+def test_a_condition_that_is_not_known_is_stated() -> None:
+    for text in (
+        LAUNCH.replace('<group ns="robot">', '<group ns="robot" if="$(arg real)">'),
+        LAUNCH_PY.replace("Node(arguments=", "Node(condition=IfCondition(real), arguments="),
+    ):
+        found = read_text(text)
+        np.testing.assert_allclose(found.extrinsic(), AHEAD, atol=1e-6)
+        assert any("camera_link" in text and "condition is unknown" in text for text in found.remarks)
 
 
 def test_the_angles_of_ros_1_are_yaw_pitch_roll() -> None:
@@ -332,6 +362,10 @@ def test_a_joint_that_moves_matters_only_between_the_sensors() -> None:
         (LAUNCH_PY.replace("str(HEIGHT)", "str(read_height())"), r"--z is not a number.*read_height"),
         (LAUNCH_PY.replace("default_value='camera_color_optical_frame'", ""), "camera_link"),
         (XACRO.replace("${height}", "${heigth}"), "expression of xacro"),
+        (MACRO, "joint a is a block of a macro of xacro.*expand it first"),
+        (MACRO.replace('<xacro:insert_block name="origin"/>', '<origin xyz="${height} 0 0"/>'), "expression of xacro"),
+        (LAUNCH_PY.replace("def gen", "HEIGHT += 1\ndef gen"), "not a transform.*HEIGHT"),
+        (LAUNCH_PY.replace("generate_launch_description()", "generate(HEIGHT)"), "not a transform.*HEIGHT"),
         ("rosrun tf static_transform_publisher 1 2 3 0 0 velodyne camera 100", r"not a transform.*x y z yaw"),
         ("rosrun tf static_transform_publisher 1 2 3 0 0 0 velodyne", "not a transform"),
         ("<launch><node/></launch><!-- static_transform_publisher -->", "not XML|no transform"),

@@ -48,6 +48,12 @@ def test_integers_that_fit_no_float_or_that_python_does_not_read_are_one_line(pa
     assert parse(text % 2**128, "file") == {"a": [2**128]}
 
 
+@pytest.mark.parametrize("text", ["a: 1\nb: 2\na: 3", "- {x: 1}\n- {x: 1, y: 2, x: 1}", "a: {'b': 1, b: 1}"])
+def test_a_key_that_a_mapping_repeats_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match=r"the file is not YAML; got key '[abx]' is given twice .*line [12]"):
+        parse_yaml(text, "file")
+
+
 def test_yaml_gives_plain_values_and_dates_stay_texts() -> None:
     assert parse_yaml("{day: 2011-09-26, at: 12, on: true, list: [1.5, x, null]}", "value") == {
         "day": "2011-09-26",

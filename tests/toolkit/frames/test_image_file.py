@@ -299,7 +299,7 @@ def test_tiffs_in_parallel_keep_stderr_handlers_and_filters(tmp_path: Path, capf
 def test_palettes_and_single_bits_are_read_and_pixels_that_are_not_those_of_a_camera_refused(tmp_path: Path) -> None:
     for name, data, why in (
         ("a.tif", encoded(scene(48, 32), "TIFF", compression="jpeg"), "a TIFF with an unsupported .*got jpeg"),
-        ("c.jpg", encoded(PIL.Image.new("CMYK", (16, 16)), "JPEG"), "not RGB; .*got (CMYK|YCCK)"),
+        ("c.jpg", encoded(PIL.Image.new("CMYK", (16, 16)), "JPEG"), "not RGB; .*got (CMYK|YCCK); store it as an RGB"),
         ("e.tif", encoded(np.zeros((4, 4), np.float32), "TIFF"), "not 8 or 16 bit"),
     ):
         (tmp_path / name).write_bytes(data)

@@ -44,8 +44,8 @@ def parse_toml(text: str, what: str, where: object = None) -> dict[str, Any]:
 def parse_yaml(text: str, what: str, where: object = None) -> Any:
     """Return the value of a YAML text of mappings, lists, numbers, booleans and texts; dates are texts.
 
-    Raises InputError as `parse_json`, for objects (which are not constructed), and for aliases, a few of which can
-    expand to more values than fit in memory.
+    Raises InputError as `parse_json`, for objects (which are not constructed), for keys that a mapping repeats, and for
+    aliases, a few of which can expand to more values than fit in memory.
     """
     import yaml
 
@@ -124,4 +124,13 @@ def _yaml_loader() -> Any:
         first: [(tag, pattern) for tag, pattern in known if tag != "tag:yaml.org,2002:timestamp"]
         for first, known in base.yaml_implicit_resolvers.items()
     }
-    return type("Loader", (base,), {"yaml_implicit_resolvers": resolvers, "__doc__": "The safe loader without dates."})
+
+    def construct_mapping(self: Any, node: Any, deep: bool = False) -> Any:
+        keys = [(key.tag, key.value) for key, _ in node.value if isinstance(key.value, str)]
+        if len(set(keys)) < len(keys):
+            twice = next(key for number, key in enumerate(keys) if key in keys[:number])
+            raise yaml.YAMLError(f"key {twice[1][:40]!r} is given twice{node.start_mark}")
+        return base.construct_mapping(self, node, deep)
+
+    members = {"yaml_implicit_resolvers": resolvers, "construct_mapping": construct_mapping}
+    return type("Loader", (base,), {**members, "__doc__": "The safe loader without dates and without repeated keys."})

@@ -149,7 +149,9 @@ def _decode_jpeg(data: bytes, path: object, what: str, size: tuple[int, int] | N
         height, width, colours, _ = simplejpeg.decode_jpeg_header(data, strict=False)
         _check_size((width, height), path, what, size)
         if colours not in ("Gray", "RGB", "YCbCr"):
-            raise InputError(f"the {what} is not RGB", where=path, expected="1 or 3 channels", got=colours)
+            raise InputError(
+                f"the {what} is not RGB", where=path, expected="1 or 3 channels", got=colours, hint=_CONVERT
+            )
         pixels = simplejpeg.decode_jpeg(data, "GRAY" if colours == "Gray" else "RGB", strict=True)
     except KeyError as problem:  # unknown chroma subsampling
         text, expected = f"the {what} cannot be decoded", "a common chroma subsampling"
@@ -204,7 +206,7 @@ def _decode_other(data: bytes, path: object, what: str, size: tuple[int, int] | 
         raise InputError(message, where=path, expected="a decodable image", got=str(problem)[:200]) from problem
     if mode in ("I", "F"):
         raise InputError(f"the {what} is not 8 or 16 bit", where=path, expected="uint8 or uint16", got=mode)
-    raise InputError(f"the {what} is not RGB", where=path, expected="1, 3 or 4 channels", got=mode)
+    raise InputError(f"the {what} is not RGB", where=path, expected="1, 3 or 4 channels", got=mode, hint=_CONVERT)
 
 
 def _decode_wide(data: bytes) -> Any:
@@ -215,6 +217,7 @@ def _decode_wide(data: bytes) -> Any:
     return pixels if pixels.ndim == 2 else np.ascontiguousarray(pixels[:, :, 2::-1])
 
 
+_CONVERT = "store it as an RGB or grey .png"
 _stderr_lock = threading.Lock()
 
 

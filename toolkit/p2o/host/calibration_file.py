@@ -71,6 +71,8 @@ def recognised(source: Source, registry: Registry) -> Offer:
     text = "no calibration reader recognises this file"
     expected = ", ".join(offer.name for _, offer, _ in readers) or "an installed plugin that reads calibration files"
     got = None if source.problem is None else f"{source.problem.what} ({source.problem.got})"
+    if not source.text:
+        got = "bytes that are not UTF-8 text"
     raise InputError(text, where=source.path, expected=expected, got=got, hint="; ".join(unavailable) or None)
 
 
