@@ -76,6 +76,19 @@ def test_every_kind_of_group_has_the_initial_guess_of_its_command(
     assert np.allclose(pose, first.pose, rtol=0, atol=SAME)
 
 
+@pytest.mark.parametrize("words", [(), ("--section", "other")])
+def test_commands_of_no_row_are_refused(
+    board: Board, capsys: pytest.CaptureFixture[str], words: tuple[str, ...]
+) -> None:
+    if words:
+        board.measured()
+    capsys.readouterr()
+    assert board.command("table", "--commands", *words) == 2
+    printed = capsys.readouterr()
+    assert not printed.out
+    assert "there are no measured rows" in printed.err
+
+
 def test_rows_without_a_command_say_why(board: Board, capsys: pytest.CaptureFixture[str]) -> None:
     starts = board.root / "starts.csv"
     board.measured()

@@ -152,7 +152,7 @@ def test_frames_of_unknown_no_or_several_cameras_and_cameras_without_frames_are_
     rig = parse_rig({"cameras": {"LEFT": {"frames": ["a*"]}, "RIGHT": {"frames": ["*1"]}}}, "rig")
     with pytest.raises(UnknownNameError, match=r"rig: unknown camera of frame b 'LEFTT'.*did you mean LEFT"):
         groups(rig, ["b"], {"b": "LEFTT"})
-    with pytest.raises(InputError, match=r"frame b is of no camera; expected one of LEFT, RIGHT; say `frames"):
+    with pytest.raises(InputError, match=r"frame b is of no camera; expected one of LEFT, RIGHT; give `frames"):
         groups(rig, ["b"])
     with pytest.raises(InputError, match=r"frame a1 matches the patterns of several cameras; .*got LEFT, RIGHT"):
         groups(rig, ["a1"])

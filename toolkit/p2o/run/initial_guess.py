@@ -52,7 +52,7 @@ def given_guess(plan: Plan, start: Float | None) -> tuple[Float | None, tuple[st
     if start is None:
         return None, remarks
     if plan.rig is not None:
-        hint = "say body_from_lidar in the rig file, or the start in each frame"
+        hint = "give body_from_lidar in the rig file, or the start in each frame"
         raise InputError("a start is of one camera, and a rig has several", expected="no start beside a rig", hint=hint)
     if recipe.perturb is not None:
         raise InputError("both a start and a perturbation are given", expected="one of them")

@@ -50,7 +50,7 @@ class JoinedFrames(Sequence[Frame]):
         frame = self._read(index)
         if not frame.sequence:
             text = "the frame is of no sequence, so no other sweep belongs to it"
-            hint = "leave out --accumulate, or say the sequence in frame.yaml"
+            hint = "leave out --accumulate, or give the sequence in frame.yaml"
             raise InputError(text, where=frame.name, expected="frames with `sequence`", hint=hint)
         before = self._neighbours(frame, range(index - 1, -1, -1), self._accumulate.past)[::-1]
         after = self._neighbours(frame, range(index + 1, len(self)), self._accumulate.future)

@@ -149,7 +149,7 @@ class Rig:
         ending = [one for one in self.cameras if re.search(rf"(?<!\w){re.escape(one)}$", name)]
         if len(ending) == 1:
             return ending[0]
-        hint = "say `frames: [PATTERN]` at the camera in the rig file, or `camera_name` in frame.yaml"
+        hint = "give `frames: [PATTERN]` at the camera in the rig file, or `camera_name` in frame.yaml"
         text = f"frame {name} is of no camera" if self.cameras else f"frame {name} names no camera"
         expected = "one of " + ", ".join(self.cameras) if self.cameras else "a camera_name, or a rig file"
         raise InputError(text, where=self.source, expected=expected, hint=hint)

@@ -15,7 +15,7 @@ import click
 from p2o.cli import INTERRUPTED
 from p2o.cli.json_output import json_option, print_json
 from p2o.cli.plugin_options import plugin_options
-from p2o.errors import printable
+from p2o.errors import InputError, printable
 
 from p2o_study.cli.ablate import at_most_option, cluster_options, columns_option, data_options, session_words
 
@@ -398,6 +398,10 @@ def table(
     tables = bench.tables()(suite)
     if commands:
         rows = [row for row in bench.rows.latest(tables.suite.name) if section in (None, row.section)]
+        if not rows:
+            expected = f"rows of {suite}" + ("" if section is None else f", section {section}")
+            hint = "p2o benchmark run measures them; --results names another folder"
+            raise InputError("there are no measured rows", where=Path(bench.results), expected=expected, hint=hint)
         click.echo(repeat_text(tables.suite.all_rows(), rows))
         return 0
     click.echo(tables.markdown(Choice(section=section, columns=columns or ("all",))))
