@@ -4,7 +4,7 @@
 
 Learned parts are left out: the network that predicts the overlap of the fields of view, the detectors, and the
 attention that matches objects. Boxes are read from one file per frame (`BoxFile`) or written from the simulator
-(`benchmarks/simulated_boxes.py` of the tag `experiments-0.2`). A cuboid and a rectangle of the same class match at a
+(`benchmarks/simulated_boxes.py` of commit `3c814d5`). A cuboid and a rectangle of the same class match at a
 pose if each is the other's nearest.
 
 1. Ground: the lower faces of cuboids are moved onto the ground plane (RANSAC) if it is within 0.5 m, because

@@ -61,7 +61,7 @@ misfit inside and outside, known inside and outside (see `locate`), and a consta
 the neighbours' estimates, and a constant.
 
 Logistic regression on layered pairs synthesised from images of the `train` split: `benchmarks/stereo_bias.py
---fit` of the tag `experiments-0.2`.
+--fit` of commit `3c814d5`.
 """
 
 
