@@ -65,7 +65,7 @@ def command(
     from p2o.reading import expanded, read_calibration, validated, write_whole
     from p2o.run.words import split_name
 
-    from p2o_formats.formats import format_named
+    from p2o_formats.formats import WRITTEN, format_named
 
     registry = load(plugin, block)
     # Same syntax as --data and --export, but without a path: NAME?FIELD=VALUE.
@@ -74,7 +74,8 @@ def command(
     values = split_name(f"{name}:?{query}")[1] if query else {}
     options = validated(chosen.options, values, chosen.name, where="--to", noun=f"option of {chosen.name}")
     if chosen.write is None:
-        raise InputError(f"{chosen.name} can only be read", where="--to", expected="another form", got=chosen.name)
+        expected = f"one of {', '.join(WRITTEN)}"
+        raise InputError(f"{chosen.name} can only be read", where="--to", expected=expected, got=chosen.name)
     calibration = read_calibration(source, "IN", form=form, registry=registry)
     if camera is not None:
         other = read_calibration(camera, "--camera", registry=registry)

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from p2o import Camera, InputError, MethodUnavailable
-from p2o.geometry.camera import centre_remark
+from p2o.geometry.camera import intrinsics_remark
 from p2o.geometry.projection import LENSES
 
 WIDTH, HEIGHT = 1242, 375
@@ -267,17 +267,36 @@ def test_without_pycolmap_common_models_work_and_others_say_what_to_install(monk
 def test_the_intrinsics_of_an_image_of_another_size_are_named_with_the_factor(model: str, scale: float) -> None:
     width, height = round(1242 * scale), round(375 * scale)
     params = (720.0, 720.0, 609.0, 173.0, *((0.0,) * 4 if model != "PINHOLE" else ()))
-    (text,) = centre_remark(Camera(model, width, height, params))
+    (text,) = intrinsics_remark(Camera(model, width, height, params))
     assert "if the images were resized, scale fx, fy, cx, cy by about" in text
     assert float(text.rpartition(" ")[2]) == pytest.approx(scale, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("fx", "fy", "words"),
+    [
+        (7210, 7210, "7210 px, the image is 1242 px wide"),
+        (72, 72, "72 px, the image"),
+        (721, 1442, "721 and 1442 px: "),
+    ],
+)
+def test_focal_lengths_that_hardly_any_camera_has_are_named(fx: float, fy: float, words: str) -> None:
+    (text,) = intrinsics_remark(Camera.pinhole(fx, fy, 609, 173, 1242, 375))
+    assert words in text
+    assert "verify" in text
+
+
+@pytest.mark.parametrize(("model", "params"), PARAMS.items())
+def test_no_usual_camera_has_a_remark(model: str, params: tuple[float, ...]) -> None:
+    assert intrinsics_remark(Camera(model, WIDTH, HEIGHT, params)) == ()
 
 
 def test_a_centre_outside_the_image_is_named_no_other_doubted_and_the_extent_that_of_the_corners_up_to_60_degrees() -> (
     None
 ):
     for size, centre in (((1242, 375), (609, 173)), ((1600, 900), (816, 491)), ((1920, 886), (961, 587))):
-        assert centre_remark(Camera.pinhole(700, 700, *centre, *size)) == ()
-    (text,) = centre_remark(Camera.pinhole(700, 700, 700, 190, 640, 375))
+        assert intrinsics_remark(Camera.pinhole(700, 700, *centre, *size)) == ()
+    (text,) = intrinsics_remark(Camera.pinhole(700, 700, 700, 190, 640, 375))
     assert text.startswith("the principal point (700, 190) is outside the image of 640x375 px")
     assert text.endswith("scale fx, fy, cx, cy with the image")
     low, high = Camera.pinhole(100.0, 100.0, 49.5, 29.5, 100, 60).extent()

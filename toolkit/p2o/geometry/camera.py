@@ -31,6 +31,8 @@ _WIDEST_TAN = 1.7
 """Tangent of the largest angle from the optical axis that an image plane without distortion shows: 60 degrees."""
 _OFF_CENTRE, _SAME_SCALE = 0.2, 0.1
 """Principal points of resized images: least offset from the centre, largest difference of x and y, in image sizes."""
+_NEAR_AXIS, _ODD_PIXEL, _WIDE, _LONG = 1e-4, 1.2, 8.0, 5.0
+"""Focal lengths of hardly any camera: tangent to read them at, ratio of x and y, of width to focal length and back."""
 
 
 @dataclass(frozen=True)
@@ -308,7 +310,28 @@ class Camera:
         return (plane.min(axis=0), plane.max(axis=0)) if len(plane) else None
 
 
-def centre_remark(camera: Camera) -> tuple[str, ...]:
+def intrinsics_remark(camera: Camera) -> tuple[str, ...]:
+    """Return warnings on a principal point or on focal lengths that hardly any camera has."""
+    return (*_centre_remark(camera), *_focal_remark(camera))
+
+
+def _focal_remark(camera: Camera) -> tuple[str, ...]:
+    """Return a warning if the focal lengths differ much, or are very long or short for the width of the image.
+
+    They are those at the optical axis, in pixels.
+    """
+    with np.errstate(all="ignore"):
+        axis, right, down = camera.project(np.array([[0.0, 0.0, 1.0], [_NEAR_AXIS, 0.0, 1.0], [0.0, _NEAR_AXIS, 1.0]]))
+        fx, fy = abs(right[0] - axis[0]) / _NEAR_AXIS, abs(down[1] - axis[1]) / _NEAR_AXIS
+    lengths = f"the focal lengths are {fx:.4g} and {fy:.4g} px"
+    if max(fx, fy) > _ODD_PIXEL * min(fx, fy):
+        return (f"{lengths}: pixels of cameras are about square, so verify fx and fy",)
+    if not camera.width / _WIDE < fx < camera.width * _LONG:
+        return (f"{lengths}, the image is {camera.width} px wide: verify that they are in pixels of this image",)
+    return ()
+
+
+def _centre_remark(camera: Camera) -> tuple[str, ...]:
     """Return a warning if the intrinsics seem to be those of a larger or smaller image, judged by the principal point.
 
     It is then outside the image, or off the centre by the same large share of the width and of the height.

@@ -23,7 +23,7 @@ from p2o.frames.direction import range_remark
 from p2o.frames.frame import Dataset, Frame, LazyFrames
 from p2o.frames.sparse import SparseOptions, sparse
 from p2o.geometry import se3
-from p2o.geometry.camera import Camera, centre_remark
+from p2o.geometry.camera import Camera, intrinsics_remark
 from p2o.host.method import Kind
 from p2o.host.registry import Offer, fault, watch
 from p2o.host.stages import Accumulator, Calibrator, InitializerBase, Judge, JudgeBase, MatcherBase
@@ -303,7 +303,7 @@ class GuardedDataset(Sequence[Frame]):
         if frame.name != self.names[index]:
             raise fault(self._offer, f"frame {index} is called {frame.name!r}", repr(self.names[index]))
         frame = sparse(frame, self._sparse)
-        remark = (*centre_remark(frame.camera), *range_remark(frame.cloud))
+        remark = (*intrinsics_remark(frame.camera), *range_remark(frame.cloud))
         return replace(frame, warnings=(*frame.warnings, *remark)) if remark else frame
 
     def identity(self, index: int) -> Any:
