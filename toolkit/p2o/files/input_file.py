@@ -100,15 +100,15 @@ def expanded(path: Path | str) -> Path:
 
 
 @contextmanager
-def naming(place: object) -> Iterator[None]:
-    """Add the place (a path, the name of a frame) to an InputError raised inside that has none."""
+def naming(path: Path) -> Iterator[None]:
+    """Add the path to an InputError raised inside that has no place."""
     try:
         yield
     except InputError as problem:
         if problem.where is not None:
             raise
         expected = problem.expected
-        raise InputError(problem.what, where=place, expected=expected, got=problem.got, hint=problem.hint) from problem
+        raise InputError(problem.what, where=path, expected=expected, got=problem.got, hint=problem.hint) from problem
 
 
 def listing(folder: Path, what: str) -> list[Path]:

@@ -313,7 +313,7 @@ class GuardedDataset(Sequence[Frame]):
     def __getitem__(self, index: Any) -> Any:
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]
-        with naming(self.names[index]), watch(self._offer, f"reading frame {self.names[index]}"):
+        with naming(Path(self.names[index])), watch(self._offer, f"reading frame {self.names[index]}"):
             frame = self._dataset[index]
         if not isinstance(frame, Frame):
             raise fault(self._offer, f"frame {index} is {type(frame).__name__}", "p2o.Frame")
