@@ -72,6 +72,16 @@ def test_listing_imports_no_package_that_methods_need() -> None:
     assert "scipy.optimize" not in done.stderr.split()
 
 
+def test_a_thread_of_a_plugin_that_raises_gives_one_line() -> None:
+    code = "import sys, threading; from p2o.cli import main; main(); thread = threading.Thread(target=lambda: 1 / 0); "
+    words = [sys.executable, "-c", code + "thread.start(); thread.join()", "--version"]
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    assert (
+        done.stderr
+        == "p2o: warning: a thread ended with ZeroDivisionError: division by zero; P2O_DEBUG=1 shows where\n"
+    )
+
+
 def test_a_run_imports_no_reports_and_no_package_that_it_does_not_need() -> None:
     """On the processor because it is asked to, and because there is no driver of a GPU."""
     run = ["run", "--data", "synthetic:?megapixels=0.1", "--perturb", "1deg 0.05m"]

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import p2o
 import pytest
-from p2o import Frame, Kind, Method, PluginError, Result, Status
+from p2o import Frame, Kind, Method, PluginError, Result, Status, se3
 from p2o.frames.frame import LazyFrames
 from p2o.host.guard import build
 from p2o.host.registry import Offer
+from p2o.solving import LeastSquares, Objective
 from p2o_testing import stage
 
 
@@ -36,9 +37,71 @@ class Recorder(p2o.Calibrator, p2o.InitializerBase):
         raise AssertionError("only frames are prepared here")
 
 
-def guarded(kind: Kind, method: Any) -> Any:
-    offer = Offer(kind, Method(name="fake", build=lambda _: method, summary="A test."), "acme", "1", "")
+def guarded(kind: Kind, method: Any, gives: frozenset[str] = frozenset()) -> Any:
+    offer = Offer(kind, Method(name="fake", build=lambda _: method, summary="A test.", gives=gives), "acme", "1", "")
     return build(offer, p2o.Options())
+
+
+class Residuals(LeastSquares):
+    """Residuals of other types, or of views that do not exist."""
+
+    huber = far = 1.0
+    weight = np.ones(6)
+
+    def __init__(self, frame: int = 0, dtype: Any = float) -> None:
+        self.frame, self.dtype = np.full(6, frame), dtype
+
+    def residuals(self, camera_from_lidar: np.ndarray) -> Any:
+        return np.ones((*camera_from_lidar.shape[:-2], 6), self.dtype)
+
+
+def solved(**fields: Any) -> Any:
+    """Return a calibrator with these fields in its result, which differs from its start."""
+    pose = se3.exp(np.full(6, 0.01))
+    return lambda frames, start: replace(Result(("a",), start, pose @ start, Status.CONVERGED, ""), **fields)
+
+
+UNKNOWN_SIDE: Any = lambda _: p2o.ImageFeatures(edges=p2o.ImageEdges(np.ones((1, 2)), np.array([9])))  # noqa: E731
+
+
+@pytest.mark.parametrize(
+    ("kind", "call", "gives", "text"),
+    [
+        (Kind.IMAGE_EXTRACTOR, UNKNOWN_SIDE, "", "extracting: side of the image edges .* got 9"),
+        (Kind.SOLVER, lambda *_: p2o.Solution(np.eye(4), "low", 1), "", "TypeError while solving; got .* not real"),  # type: ignore[arg-type]
+        (Kind.SOLVER, lambda *_: p2o.Solution(np.eye(4), 0.0, 1, "done"), "", "solving: the status .* got 'done'"),  # type: ignore[arg-type]
+        (Kind.MATCHER, lambda *_: Objective(len), "residuals", "returned Objective; expected LeastSquares, as `gives`"),
+        (Kind.MATCHER, lambda *_: Residuals(), "pairs", "returned Residuals; expected PointToLine, as `gives`"),
+        (Kind.MATCHER, lambda *_: Residuals(1), "residuals", "frame contains 1 to 1; expected views 0 to 0"),
+        (Kind.CALIBRATOR, solved(accuracy=3), "", "calibrating: accuracy is not valid"),
+        (Kind.CALIBRATOR, solved(covariance=np.eye(3)), "", "calibrating: covariance is not valid.* 3 x 3"),
+        (Kind.CALIBRATOR, solved(reason=None), "", "calibrating: reason is not valid"),
+        (Kind.CALIBRATOR, lambda frames, start: start.fill(0), "", "ValueError while calibrating.*read-only"),
+    ],
+)
+def test_wrong_values_of_a_stage_are_faults_that_name_it(kind: Kind, call: Any, gives: str, text: str) -> None:
+    given = {
+        Kind.IMAGE_EXTRACTOR: (stage.frame().image,),
+        Kind.MATCHER: ([stage.view()], np.eye(4), 1.0),
+        Kind.SOLVER: (None, np.eye(4)),
+        Kind.CALIBRATOR: ([stage.frame()], np.eye(4)),
+    }
+    with pytest.raises(PluginError, match=f"plugin acme: {kind} 'fake'.*{text}"):
+        guarded(kind, call, frozenset(gives.split()))(*given[kind])
+
+
+@pytest.mark.parametrize("dtype", [complex, "U8"])
+def test_residuals_that_are_no_real_numbers_are_a_fault(dtype: Any) -> None:
+    problem = guarded(Kind.MATCHER, lambda *_: Residuals(dtype=dtype))([stage.view()], np.eye(4), 1.0)
+    with pytest.raises(PluginError, match="TypeError while computing residuals; got these are not real numbers"):
+        problem.residuals(np.eye(4))
+
+
+def test_a_result_has_the_start_that_was_given_and_returns_it_if_it_is_refused() -> None:
+    for status in (Status.CONVERGED, Status.NO_FEATURES):
+        result = guarded(Kind.CALIBRATOR, solved(start=stage.camera_from_lidar(), status=status))([], np.eye(4))
+        assert np.array_equal(result.start, np.eye(4))
+        assert np.array_equal(result.camera_from_lidar, np.eye(4)) == (not status.solved)
 
 
 @pytest.mark.parametrize("kind", [Kind.CALIBRATOR, Kind.INITIALIZER])

@@ -26,6 +26,10 @@ class Sized(p2o.Options):
     seed: int = p2o.field(7, ge=0, help="A seed.")
 
 
+class Unwritable(p2o.Options):
+    call: Any = p2o.field(len, help="A value that JSON has no form for.")
+
+
 class Rooted(p2o.Options):
     root: str = p2o.field(..., help="A folder.")
     scenes: int = p2o.field(1, help="How many.")
@@ -53,6 +57,7 @@ class Offered:
         (Kind.SOLVER, "simplex", {"needs": {"objective"}}),
         (Kind.INITIALIZER, "given", {}),
         (Kind.CALIBRATOR, "whole", {"options": Sized}),
+        (Kind.CALIBRATOR, "unwritable", {"options": Unwritable}),
         (Kind.DATASET, "synthetic", {"options": Sized, "gives": {"rings"}}),
         (Kind.DATASET, "files", {"options": Rooted}),
     )
@@ -444,3 +449,8 @@ def test_progress_is_told_around_every_calibration_and_results_name_recipe_seed_
     result = run.rows[1].result
     assert (result.seed, result.recipe["perturb"], result.recipe["calibrator"]) == (6, "1deg", "spy")
     assert {"python", "numpy", "p2o-calib"} <= set(result.versions)
+
+
+def test_options_without_a_form_in_json_are_a_fault_of_the_plugin() -> None:
+    with pytest.raises(PluginError, match=r"calibrator 'unwritable' raised Pydantic.* while validating its options"):
+        Recipe(data="synthetic:", calibrator="unwritable").resolve(REGISTRY)

@@ -8,6 +8,7 @@ import importlib
 import os
 import signal
 import sys
+import threading
 import warnings
 from collections.abc import Iterator, Sequence
 from functools import cache
@@ -183,6 +184,14 @@ def _set_up_process(debug: bool) -> None:
     # Warnings of libraries are for developers; results and errors contain everything for users.
     if not (debug or sys.warnoptions):
         warnings.simplefilter("ignore")
+    if not debug:
+        threading.excepthook = _report_thread
+
+
+def _report_thread(ended: threading.ExceptHookArgs) -> None:
+    """Print in one line what a thread of a plugin raised."""
+    text = f"a thread ended with {ended.exc_type.__name__}: {one_line(ended.exc_value, LONGEST)}"
+    click.echo(f"p2o: warning: {text}; P2O_DEBUG=1 shows where", err=True)
 
 
 def _check_readable(words: Sequence[str]) -> None:

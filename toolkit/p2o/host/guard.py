@@ -6,6 +6,7 @@ import copy
 import inspect
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -13,11 +14,12 @@ from typing import Any, ClassVar, cast
 
 import numpy as np
 
-from p2o.arrays import Float
+from p2o.arrays import Float, checked
 from p2o.calibration_files.calibration import Calibration, CalibrationReader, Source
 from p2o.errors import InputError, PluginError
 from p2o.features.sets import CloudFeatures, ImageFeatures
 from p2o.features.view import View
+from p2o.files.input_file import naming
 from p2o.frames.cloud import Cloud
 from p2o.frames.direction import range_remark
 from p2o.frames.frame import Dataset, Frame, LazyFrames
@@ -34,6 +36,7 @@ from p2o.problems.points_on_rays import PointsOnRays
 from p2o.problems.problem import LeastSquares, Objective, Problem
 from p2o.results.evidence import Agreement
 from p2o.results.result import Result, Solution
+from p2o.results.result_json import result_from_dict, result_to_dict
 
 _CHECKED_ON_CONSTRUCTION = (PointToLine, PointsOnRays)
 """Classes of the toolkit: their values are validated on construction, and their code is not a plugin's."""
@@ -227,8 +230,10 @@ class GuardedJudge(JudgeBase):
 
 
 def _floats(values: Any) -> Float:
-    """Return an array of floats; float32 stays float32."""
+    """Return an array of floats; float32 stays float32. Raises TypeError for complex numbers, texts and times."""
     array = np.asarray(values)
+    if array.dtype.kind not in "fiubO":
+        raise TypeError(f"these are not real numbers but {array.dtype}")
     return array if array.dtype.kind == "f" else array.astype(np.float64)
 
 
@@ -246,6 +251,18 @@ def _require(offer: Offer, what: str, values: Float, shape: tuple[int, ...], *, 
             offer, f"{what} returned NaN{' or infinity' if finite else ''}", "finite numbers" if finite else "numbers"
         )
     return values
+
+
+@contextmanager
+def _calling(offer: Offer, doing: str) -> Iterator[None]:
+    """Watch a call that returns values: an InputError without place and next step is about one of them."""
+    try:
+        with watch(offer, doing):
+            yield
+    except InputError as problem:
+        if problem.where is not None or problem.hint is not None:
+            raise
+        raise fault(offer, f"{doing}: {problem}") from problem
 
 
 def build(offer: Offer, options: Options) -> Any:
@@ -296,7 +313,7 @@ class GuardedDataset(Sequence[Frame]):
     def __getitem__(self, index: Any) -> Any:
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]
-        with watch(self._offer, f"reading frame {self.names[index]}"):
+        with naming(Path(self.names[index])), watch(self._offer, f"reading frame {self.names[index]}"):
             frame = self._dataset[index]
         if not isinstance(frame, Frame):
             raise fault(self._offer, f"frame {index} is {type(frame).__name__}", "p2o.Frame")
@@ -354,7 +371,7 @@ _FEATURES = {Kind.IMAGE_EXTRACTOR: (ImageFeatures, "image-"), Kind.CLOUD_EXTRACT
 
 def _extractor(offer: Offer, stage: Callable[..., Any]) -> Any:
     def extract(image_or_cloud: Any, /) -> Any:
-        with watch(offer, "extracting"):
+        with _calling(offer, "extracting"):
             features = stage(image_or_cloud)
         check_features(offer, features)
         return features
@@ -371,6 +388,10 @@ class _Guarded:
         self._offer, self._stage = offer, stage
 
 
+_PROBLEMS = {"pairs": PointToLine, "residuals": LeastSquares}
+"""The problem that a matcher returns, by what it gives."""
+
+
 class GuardedMatcher(_Guarded, MatcherBase):
     """A plugin's matcher whose problems and judge are checked.
 
@@ -384,10 +405,19 @@ class GuardedMatcher(_Guarded, MatcherBase):
 
     def __call__(self, views: Sequence[View], camera_from_lidar: Float, reach_px: float, /) -> Problem:
         """Return the guarded problem of all views."""
-        with watch(self._offer, "matching"):
+        offer = self._offer
+        with _calling(offer, "matching"):
             problem = self._stage(views if self._weights_views else one_per_scene(views), camera_from_lidar, reach_px)
-        problem = guarded_problem(self._offer, problem)
-        return problem.weighted(view_weights(views)) if isinstance(problem, LeastSquares) else problem
+        problem = guarded_problem(offer, problem)
+        for word, kind in _PROBLEMS.items():
+            if word in offer.method.gives and not isinstance(problem, kind):
+                raise fault(offer, f"returned {type(problem).__name__}", f"{kind.__name__}, as `gives` states {word}")
+        if not isinstance(problem, LeastSquares):
+            return problem
+        frame = np.asarray(problem.frame)
+        if len(views) and frame.size and not 0 <= frame.min() <= frame.max() < len(views):
+            raise fault(offer, f"frame contains {frame.min()} to {frame.max()}", f"views 0 to {len(views) - 1}")
+        return problem.weighted(view_weights(views))
 
     def judge(self, views: Sequence[View], start: Float, poses: Sequence[Float], /) -> JudgeBase | None:
         """Return the matcher's own judge, guarded, or None."""
@@ -400,13 +430,14 @@ class GuardedMatcher(_Guarded, MatcherBase):
 
 def _solver(offer: Offer, stage: Callable[..., Any]) -> Any:
     def solve(problem: Any, camera_from_lidar: Float, /) -> Any:
-        with watch(offer, "solving"):
+        with _calling(offer, "solving"):
             solution = stage(problem, camera_from_lidar)
-        _typed(offer, solution, Solution)
-        if np.isnan(solution.cost):
-            raise fault(offer, "cost is NaN", "a number")
-        if solution.covariance is not None:
-            _require(offer, "covariance", np.asarray(solution.covariance), (6, 6), finite=True)
+            _typed(offer, solution, Solution)
+            cost, covariance = _floats(solution.cost), solution.covariance
+            covariance = None if covariance is None else _floats(covariance)
+        _require(offer, "cost", cost, ())
+        if covariance is not None:
+            _require(offer, "covariance", covariance, (6, 6), finite=True)
         return replace(solution, camera_from_lidar=_pose(offer, solution.camera_from_lidar))
 
     return solve
@@ -446,7 +477,7 @@ class GuardedInitializer(_Guarded, InitializerBase):
 
     def __call__(self, views: Sequence[View], camera_from_lidar: Float, /) -> list[Float]:
         """Return at least one initial pose (4, 4), best first."""
-        with watch(self._offer, "looking for starts"):
+        with _calling(self._offer, "looking for starts"):
             poses = list(self._stage(views, camera_from_lidar))
         if not poses:
             raise fault(self._offer, "proposed no start", "at least one pose")
@@ -497,12 +528,16 @@ class GuardedCalibrator:
 
     def solve(self, prepared: Sequence[Any], camera_from_lidar: Float, /) -> Result:
         """Return the result of what was prepared, from a start (4, 4)."""
-        with watch(self._offer, "calibrating"):
+        start = checked("camera_from_lidar", camera_from_lidar, (4, 4), np.float64)
+        with _calling(self._offer, "calibrating"):
             solve = self._stage.solve if self.prepares else self._stage
             # A plain function reads the frames itself: as a list, all of them would be in memory.
-            result: Result = solve(list(prepared) if self.prepares else prepared, camera_from_lidar)
-        _typed(self._offer, result, Result)
-        return replace(result, camera_from_lidar=_pose(self._offer, result.camera_from_lidar))
+            result: Result = solve(list(prepared) if self.prepares else prepared, start)
+            _typed(self._offer, result, Result)
+            pose = _pose(self._offer, result.camera_from_lidar) if result.status.solved else start
+            result = replace(result, start=start, camera_from_lidar=pose)
+            result_from_dict(result_to_dict(result))  # raises for a field of another type or shape
+        return result
 
     def __call__(self, frames: Sequence[Frame], camera_from_lidar: Float, /) -> Result:
         return self.solve([self.prepare(frame) for frame in frames], camera_from_lidar)

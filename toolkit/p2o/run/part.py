@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from p2o.errors import InputError
-from p2o.host.registry import Offer
+from p2o.host.registry import Offer, watch
 from p2o.options import Options, validated
 
 
@@ -35,4 +35,7 @@ def part_of(offer: Offer, stage: str, values: dict[str, Any], seed: int) -> Part
         raise InputError(f"dataset {offer.name} needs a path", expected=f"{offer.name}:PATH")
     if "seed" in fields:
         values = {"seed": seed, **values}
-    return Part(offer, validated(offer.method.options, values, stage))
+    with watch(offer, "validating its options"):
+        options = validated(offer.method.options, values, stage)
+        options.model_dump_json()  # results and stored rows contain them
+    return Part(offer, options)
