@@ -18,7 +18,7 @@ from p2o.problems.distinct_views import DistinctViews, evenly_chosen, scenes_of,
 from p2o.problems.interval_likelihood import IntervalLikelihood
 from p2o.problems.pairing import edge_pairs
 from p2o.run.pipeline import Pipeline
-from p2o.solving import DirectedCost, Objective
+from p2o.solving import DirectedCost, LeastSquares, PointToLine
 
 from tests import edge_scene
 from tests.edge_scene import TRUTH
@@ -94,6 +94,27 @@ def test_copies_of_a_view_do_not_reduce_the_covariance_of_pairs() -> None:
     assert covariances[1] == pytest.approx(covariances[0], rel=0.05)
 
 
+class Shifts(LeastSquares):
+    """One residual for each frame, of a third party that computes its weights."""
+
+    huber, frame = 1.0, np.arange(3)
+
+    @property
+    def weight(self) -> p2o.Float:  # type: ignore[override]
+        return np.ones(3)
+
+    def residuals(self, camera_from_lidar: p2o.Float) -> p2o.Float:
+        return np.repeat(camera_from_lidar[..., :1, 3], 3, axis=-1)
+
+
+def test_residuals_are_weighted_by_view_also_where_the_weights_are_a_property() -> None:
+    problem = Shifts().weighted(np.array([2.0, 0.5, 0.5]))
+    assert isinstance(problem, Shifts)
+    np.testing.assert_allclose(problem.weight, [2.0, 0.5, 0.5])
+    assert problem.cost(POSES) == pytest.approx(Shifts().cost(POSES)), "the weights of equal residuals"
+    np.testing.assert_allclose(Shifts().weight, 1.0)
+
+
 def _pipeline() -> Pipeline:
     plan = p2o.Recipe.of(extractor="depth/rings").resolve(p2o.Registry.load())
     pipeline = plan.assembly().calibrator
@@ -120,9 +141,9 @@ def test_a_judge_and_costs_of_other_methods_see_one_frame_of_each_view() -> None
     frames = weighted([*places(2), *stop(edge_scene.view(seed=9), 4)], TRUTH)
     received: list[int] = []
 
-    def stage(views: Sequence[View], pose: np.ndarray, reach_px: float) -> Objective:
+    def stage(views: Sequence[View], pose: np.ndarray, reach_px: float) -> PointToLine:
         received.append(len(views))
-        return Objective(lambda poses: np.zeros(len(poses)))
+        return edge_pairs(views, pose, reach_px)
 
     registry = p2o.Registry.load()
     for name, count in (("idt", 3), ("ogm", 6)):

@@ -272,7 +272,7 @@ def test_what_a_stage_raises_names_plugin_and_stage_and_our_own_errors_pass_thro
     with pytest.raises(PluginError, match=r"plugin acme-p2o: solver 'fake' raised ZeroDiv.*by zero") as raised:
         stage(None, np.eye(4))
     assert isinstance(raised.value.__cause__, ZeroDivisionError)
-    mine = InputError("this sweep has no rings")
+    mine = InputError("this sweep has no rings", where="sweep")
 
     def extract(cloud: object) -> None:
         raise mine
@@ -290,7 +290,7 @@ WRONG = {
     "nan pose": (Kind.SOLVER, lambda p, pose: p2o.Solution(pose * np.nan, 0.0, 1), "no rigid transform"),
     "shape": (Kind.SOLVER, lambda p, pose: p2o.Solution(pose[:3], 0.0, 1), "no rigid transform"),
     "mirror": (Kind.SOLVER, lambda p, pose: p2o.Solution(np.diag([1.0, 1, -1, 1]), 0.0, 1), "mirrors space"),
-    "nan cost": (Kind.SOLVER, lambda p, pose: p2o.Solution(pose, np.nan, 1), "cost is NaN"),
+    "nan cost": (Kind.SOLVER, lambda p, pose: p2o.Solution(pose, np.nan, 1), "cost returned NaN"),
     "covariance": (Kind.SOLVER, lambda _, p: p2o.Solution(p, 0.0, 1, covariance=np.eye(5)), "expected \\(6, 6\\)"),
     "no start": (Kind.INITIALIZER, lambda views, pose: [], "proposed no start"),
     "bad start": (Kind.INITIALIZER, lambda views, pose: [np.zeros((4, 4))], "no rigid transform"),

@@ -91,8 +91,12 @@ class LeastSquares:
             return self
         weight = self.weight * weights[self.frame]
         total = float(weight.sum())
-        out = copy.copy(self)
-        object.__setattr__(out, "weight", weight * (float(self.weight.sum()) / total) if total > 0 else weight)
+        weight = weight * (float(self.weight.sum()) / total) if total > 0 else weight
+        out, kind = copy.copy(self), type(self)
+        if isinstance(getattr(kind, "weight", None), property):  # no attribute of the object can replace it
+            object.__setattr__(out, "__class__", type(kind.__name__, (kind,), {"weight": weight}))
+        else:
+            object.__setattr__(out, "weight", weight)
         return out
 
     def robust_weight(self, residuals: Float) -> Float:
