@@ -13,7 +13,7 @@ from p2o import Frame, Kind, Method, PluginError, Result, Status, se3
 from p2o.frames.frame import LazyFrames
 from p2o.host.guard import build
 from p2o.host.registry import Offer
-from p2o.solving import LeastSquares, Objective
+from p2o.solving import LeastSquares
 from p2o_testing import stage
 
 
@@ -70,8 +70,6 @@ UNKNOWN_SIDE: Any = lambda _: p2o.ImageFeatures(edges=p2o.ImageEdges(np.ones((1,
         (Kind.IMAGE_EXTRACTOR, UNKNOWN_SIDE, "", "extracting: side of the image edges .* got 9"),
         (Kind.SOLVER, lambda *_: p2o.Solution(np.eye(4), "low", 1), "", "TypeError while solving; got .* not real"),  # type: ignore[arg-type]
         (Kind.SOLVER, lambda *_: p2o.Solution(np.eye(4), 0.0, 1, "done"), "", "solving: the status .* got 'done'"),  # type: ignore[arg-type]
-        (Kind.MATCHER, lambda *_: Objective(len), "residuals", "returned Objective; expected LeastSquares, as `gives`"),
-        (Kind.MATCHER, lambda *_: Residuals(), "pairs", "returned Residuals; expected PointToLine, as `gives`"),
         (Kind.MATCHER, lambda *_: Residuals(1), "residuals", "frame contains 1 to 1; expected views 0 to 0"),
         (Kind.CALIBRATOR, solved(accuracy=3), "", "calibrating: accuracy is not valid"),
         (Kind.CALIBRATOR, solved(covariance=np.eye(3)), "", "calibrating: covariance is not valid.* 3 x 3"),

@@ -388,10 +388,6 @@ class _Guarded:
         self._offer, self._stage = offer, stage
 
 
-_PROBLEMS = {"pairs": PointToLine, "residuals": LeastSquares}
-"""The problem that a matcher returns, by what it gives."""
-
-
 class GuardedMatcher(_Guarded, MatcherBase):
     """A plugin's matcher whose problems and judge are checked.
 
@@ -409,9 +405,6 @@ class GuardedMatcher(_Guarded, MatcherBase):
         with _calling(offer, "matching"):
             problem = self._stage(views if self._weights_views else one_per_scene(views), camera_from_lidar, reach_px)
         problem = guarded_problem(offer, problem)
-        for word, kind in _PROBLEMS.items():
-            if word in offer.method.gives and not isinstance(problem, kind):
-                raise fault(offer, f"returned {type(problem).__name__}", f"{kind.__name__}, as `gives` states {word}")
         if not isinstance(problem, LeastSquares):
             return problem
         frame = np.asarray(problem.frame)
@@ -534,7 +527,7 @@ class GuardedCalibrator:
             # A plain function reads the frames itself: as a list, all of them would be in memory.
             result: Result = solve(list(prepared) if self.prepares else prepared, start)
             _typed(self._offer, result, Result)
-            pose = _pose(self._offer, result.camera_from_lidar) if result.status.solved else start
+            pose = _pose(self._offer, result.camera_from_lidar if result.status.solved else start)
             result = replace(result, start=start, camera_from_lidar=pose)
             result_from_dict(result_to_dict(result))  # raises for a field of another type or shape
         return result
