@@ -74,7 +74,7 @@ def test_millimetres_are_noted(tmp_path: Path, capsys: pytest.CaptureFixture[str
     far[:3, 3] *= 1000
     path = _file(tmp_path, "matrix", Calibration(None, far))
     assert main(["convert", str(path), str(tmp_path / "out"), "--to", "text"]) == 0
-    assert "camera and LiDAR are 287.9 m apart: if it is in millimetres" in capsys.readouterr().out
+    assert "is 287.9 m long: if it is in millimetres" in capsys.readouterr().out
 
 
 def test_what_is_said_is_where_the_camera_stands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -137,7 +137,8 @@ def _is_possible(values: Any, count: int) -> bool:
 def _is_uniform(values: Any, count: int) -> bool:
     """Return whether x and y have similar spreads in every k-th row; rows of another length mix quantities."""
     rows = values[: min(values.size // count, _SAMPLE) * count].reshape(-1, count)[:, :2].astype(np.float64)
-    rows = rows[np.isfinite(rows).all(axis=1) & (np.abs(rows) < FAR_M).all(axis=1)]
+    # Rays without a return are rows of zeros or NaN, for instance in every second row of two returns.
+    rows = rows[rows.any(axis=1) & np.isfinite(rows).all(axis=1) & (np.abs(rows) < FAR_M).all(axis=1)]
     for period in range(2, 13) if len(rows) >= _FEWEST_ROWS else ():
         spread = np.array([rows[start::period].std(axis=0) for start in range(period)])
         if (spread.max(axis=0) > _UNEQUAL * spread.min(axis=0)).any() and (spread.max(axis=0) > 0).all():

@@ -118,6 +118,16 @@ def test_text_has_the_columns_of_its_first_line(tmp_path: Path) -> None:
         read_cloud(tmp_path / "a.txt")
 
 
+@pytest.mark.parametrize("empty", [0.0, np.nan])
+def test_every_second_row_may_be_without_a_return(tmp_path: Path, empty: float) -> None:
+    written = rows(4, 2400)
+    written[1::2] = empty
+    path = write(tmp_path / "a.bin", written)
+    for columns in (None, ("x", "y", "z", "intensity")):
+        xyz = read_cloud(path, columns=columns)[0].xyz
+        assert np.array_equal(xyz[np.isfinite(xyz).all(axis=1) & xyz.any(axis=1)], written[::2, :3])
+
+
 @pytest.mark.parametrize("width", [5, 7, 8, 9, 10, 12])
 def test_rows_of_another_length_are_no_points(tmp_path: Path, width: int) -> None:
     known = rows(6, 2400)

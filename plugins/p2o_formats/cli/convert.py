@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import click
-from p2o import InputError, se3
+from p2o import InputError
 from p2o.cli.plugin_options import load, plugin_options
 from p2o.reading import printable
 
@@ -15,10 +15,6 @@ if TYPE_CHECKING:
     from p2o.reading import Calibration
 
     from p2o_formats.format import Format
-
-
-_LONG_M = 30.0
-"""Distance of camera and LiDAR from which a unit other than metres is likely: rigs are smaller."""
 
 
 class _Convert(click.Command):
@@ -88,6 +84,7 @@ def command(
 
 def _described(calibration: Calibration, chosen: Format, options: Options, source: str, target: str) -> str:
     """Return a description of the written file, in lines."""
+    from p2o.frames.direction import unit_remark
     from p2o.reading import CAMERA, EXTRINSIC
 
     lines = [f"{target}: {chosen.name}, {chosen.summary}"]
@@ -97,10 +94,7 @@ def _described(calibration: Calibration, chosen: Format, options: Options, sourc
         forward, up = _spaced(pose[2, :3], 3), _spaced(-pose[1, :3], 3)
         lines.append(f"  camera position in the LiDAR's frame: {_spaced(-pose[:3, :3].T @ pose[:3, 3], 4)} m")
         lines.append(f"  camera axes in the LiDAR's frame: optical axis {forward}, up {up}")
-        if (length_m := se3.distance_m(pose)) > _LONG_M:
-            lines.append(
-                f"  note: camera and LiDAR are {length_m:.4g} m apart: if it is in millimetres, divide by 1000"
-            )
+        lines += [f"  note: {text}" for text in unit_remark(pose, source)]
         lines.append(f"  stored transform: {_direction(chosen, options)}")
         if calibration.lidar_frame and calibration.camera_frame:
             lines.append(f"  frames of {source}: lidar {calibration.lidar_frame}, camera {calibration.camera_frame}")

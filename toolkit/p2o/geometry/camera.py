@@ -323,6 +323,8 @@ def _focal_remark(camera: Camera) -> tuple[str, ...]:
     with np.errstate(all="ignore"):
         axis, right, down = camera.project(np.array([[0.0, 0.0, 1.0], [_NEAR_AXIS, 0.0, 1.0], [0.0, _NEAR_AXIS, 1.0]]))
         fx, fy = abs(right[0] - axis[0]) / _NEAR_AXIS, abs(down[1] - axis[1]) / _NEAR_AXIS
+    if not np.isfinite([fx, fy]).all():
+        return ()
     lengths = f"the focal lengths are {fx:.4g} and {fy:.4g} px"
     if max(fx, fy) > _ODD_PIXEL * min(fx, fy):
         return (f"{lengths}: pixels of cameras are about square, so verify fx and fy",)
