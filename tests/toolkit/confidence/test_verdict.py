@@ -6,6 +6,7 @@ import re
 from dataclasses import replace
 
 import numpy as np
+import p2o
 import pytest
 from p2o.calibration.options import PipelineOptions
 from p2o.calibration.search_box import SearchBox
@@ -71,6 +72,19 @@ def test_what_may_be_far_off_by_its_own_word_is_doubtful() -> None:
         verdict = verdict_of(GOOD, None, (), OPTIONS, unsure)
         assert (verdict.trust, verdict.reasons[0].doubt) == (Trust.DOUBTFUL, Doubt.TOO_UNSURE)
         assert verdict_of(GOOD, None, (), PipelineOptions(most_deg=2, most_m=1), unsure).trusted
+
+
+@pytest.mark.parametrize("limit", ["most_deg", "most_m"])
+def test_the_predicted_error_of_a_result_is_the_one_that_is_limited(limit: str) -> None:
+    def result(*options: str) -> p2o.Result:
+        return p2o.calibrate("example:", perturb="2deg 0.15m", options=options).result
+
+    accuracy = result().accuracy
+    assert accuracy is not None
+    bound = accuracy.rotation_deg_95 if limit == "most_deg" else accuracy.translation_m_95
+    assert result(f"pipeline.{limit}={1.001 * bound}").verdict.trusted
+    [reason] = result(f"pipeline.{limit}={0.999 * bound}").verdict.reasons
+    assert reason.doubt is Doubt.TOO_UNSURE
 
 
 CAMERA = Camera.pinhole(500, 500, 300, 100, 600, 200)

@@ -65,7 +65,7 @@ def assess(
         return replace(refused(views, start, Status.NO_IMPROVEMENT, _no_improvement(judged), end.rounds), judged=judged)
     agreement = judge.agreement(estimate.views, end.pose)
     scatter = None if agreement is None else _Scatter.of(estimate, agreement, options)
-    pose, accuracy, doubted, weight, warnings = end.pose, None, None, None, remarks_of(views)
+    pose, accuracy, weight, warnings = end.pose, None, None, remarks_of(views)
     covariance = final.covariance
     if covariance is None and end.solution is not None:
         covariance = end.solution.covariance
@@ -78,7 +78,6 @@ def assess(
         if weighted is not None:
             pose, likely, judged, weight = weighted
             accuracy = accuracy_of(likely, budget.model)
-        doubted = accuracy
         if not final.cameras_corrected:
             rivals = _rival_covariance(estimate.refined)
             if weight is not None:
@@ -104,7 +103,7 @@ def assess(
         judged=judged,
         agreement=agreement,
         rival=rival,
-        verdict=verdict_of(agreement, rival, cameras, options, doubted, box=left_box, **places),
+        verdict=verdict_of(agreement, rival, cameras, options, accuracy, box=left_box, **places),
         cameras=at_full_size(cameras, views),
         motions=final.nuisance.sweep_motions(views),
         time=final.time,

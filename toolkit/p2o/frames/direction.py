@@ -98,9 +98,10 @@ def unit_remark(camera_from_lidar: Float, name: str, where: object = None) -> tu
 
 def range_remark(cloud: Cloud) -> tuple[str, ...]:
     """Return a warning about a median range that no scene has in metres, with the units in which it is plausible."""
-    length = np.abs(cloud.xyz).max(axis=1)
+    xyz = cloud.xyz[:: max(1, len(cloud) // _SAMPLE)]
+    length = np.abs(xyz).max(axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        range_m = length * np.linalg.norm(cloud.xyz / length[:, None], axis=1)
+        range_m = length * np.linalg.norm(xyz / length[:, None], axis=1)
     low, median, high = np.nanpercentile(range_m, [1, 50, 99]) if length.any() else (0.0, 1.0, 0.0)
     if _NEAREST_MEDIAN_M <= median <= _FARTHEST_MEDIAN_M:
         return ()
