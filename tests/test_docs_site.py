@@ -52,6 +52,12 @@ def test_figures_from_rows_do_not_end_paragraphs_and_lists() -> None:
         assert not broken, f"{page.relative_to(ROOT)}: move a word to the front of these lines: {broken}"
 
 
+def test_records_that_pages_name_exist() -> None:
+    for page in [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]:
+        for name in re.findall(r"benchmarks/results/records/[\w-]+\.json", page.read_text(encoding="utf-8")):
+            assert (ROOT / name).is_file(), f"{page.relative_to(ROOT)} names {name}"
+
+
 def test_the_front_page_is_the_readme(site: Path) -> None:
     page = (site / "index.html").read_text(encoding="utf-8")
     assert "estimates the rigid transform between a camera and a LiDAR" in page
