@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -47,7 +48,18 @@ def staying(status: p2o.Status) -> Callable[[Any], p2o.Calibrator]:
     return lambda options: calibrate
 
 
+def elsewhere(options: Any) -> p2o.Calibrator:
+    """Return a method that is right, and states the process in which it runs."""
+
+    def calibrate(frames: Any, start: Any) -> p2o.Result:
+        names = tuple(frame.name for frame in frames)
+        return p2o.Result(names, start, TRUTH, p2o.Status.CONVERGED, f"process {os.getpid()}")
+
+    return calibrate
+
+
 METHODS = {
+    "elsewhere": elsewhere,
     "sharp": scattering(0.001),
     "loose": scattering(0.01),
     "stuck": staying(p2o.Status.CONVERGED),

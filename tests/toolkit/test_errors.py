@@ -43,7 +43,7 @@ def test_every_part_of_an_error_is_shown_in_one_line_of_bounded_length_with_both
     assert str(InputError("too large", got=10**10000)) == "too large; got a number of too many digits to write"
 
 
-@pytest.mark.parametrize("raised", [RuntimeError, SystemExit, RecursionError])
+@pytest.mark.parametrize("raised", [RuntimeError, SystemExit, RecursionError, ValueError])
 def test_an_exception_whose_text_raises_is_named(raised: type[BaseException]) -> None:
     class TextlessError(Exception):
         def __str__(self) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any, Literal
 
 import p2o
@@ -86,3 +87,14 @@ def test_an_unknown_name_is_told_with_those_of_its_own_table(values: dict[str, A
     assert caught.value.kind == "w option"
     with pytest.raises(UnknownNameError, match=r"a\.yaml: unknown key"):
         validated(Words, {"name": "a", **values}, where="a.yaml")
+
+
+def test_sets_are_written_in_order_on_every_process() -> None:
+    class Sets(p2o.Options):
+        names: frozenset[str] = p2o.field(frozenset("qwertyuiop"), help="Names.")
+        numbers: set[int] = p2o.field({8, 1, 16}, help="Numbers.")
+
+    plain = {"names": sorted("qwertyuiop"), "numbers": [1, 16, 8]}  # by their texts
+    assert Sets().model_dump(mode="json") == plain
+    assert json.loads(Sets().model_dump_json()) == plain
+    assert Sets().model_dump()["names"] == frozenset("qwertyuiop")

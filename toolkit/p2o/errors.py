@@ -38,9 +38,9 @@ def _text(value: object) -> str:
     """Return the text of any object: an exception of a plugin may raise while it is converted."""
     try:
         return str(value)
-    except ValueError:  # more digits than Python writes
-        return "a number of too many digits to write"
     except (Exception, SystemExit) as problem:
+        if isinstance(value, int):  # more digits than Python writes
+            return "a number of too many digits to write"
         return f"no text, because {type(value).__name__}.__str__ raises {type(problem).__name__}"
 
 

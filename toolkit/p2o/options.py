@@ -5,11 +5,11 @@ The command line, Python, study files, recipes and frame files use both.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Any, Literal, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, ValidationError, model_serializer
 
 from p2o.errors import InputError, UnknownNameError
 
@@ -22,6 +22,15 @@ class Options(BaseModel):
     """Base of the options of methods: frozen, without unknown names, with validated defaults."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False)
+
+    @model_serializer(mode="wrap", when_used="json")
+    def _with_sets_in_order(self, serialize: SerializerFunctionWrapHandler) -> Any:
+        """Return plain values with sets in order: the order of Python, and keys of rows with it, differ by process."""
+        plain = serialize(self)
+        for name in type(self).model_fields:
+            if isinstance(getattr(self, name), Set) and isinstance(plain.get(name), list):
+                plain[name].sort(key=repr)
+        return plain
 
 
 def field(default: Any, *, help: str, **bounds: Any) -> Any:

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from p2o.cache import FeatureCache
-from p2o.errors import InputError
+from p2o.errors import InputError, P2OError
 from p2o.host.registry import DISTRIBUTION
 
 from p2o_study import worker
@@ -216,8 +216,11 @@ class Session:
             if id(entry) not in tried:
                 tried.add(id(entry))
                 for stage, part in entry.method(seed).plan.parts.items():
-                    if stage != "data":
-                        worker.built(part)  # reports a missing package before any work
+                    try:
+                        if stage != "data":
+                            worker.built(part)  # reports a missing package before any work
+                    except P2OError as problem:
+                        raise with_place(problem, f"{entry.row.where}, row '{entry.row.label}'") from problem
         keys = FeatureKeys()
         self._extract(cells, pending, keys)
         for position in pending:

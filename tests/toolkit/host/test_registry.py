@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 import textwrap
+import threading
+import warnings
 from collections.abc import Callable, Iterator
+from contextlib import redirect_stdout
 from pathlib import Path
 
 import numpy as np
@@ -307,16 +311,56 @@ def test_what_a_stage_must_not_return_names_plugin_and_stage(kind: Kind, stage: 
         build(promised, p2o.Options())(None)
 
 
-def test_directory_and_recursion_limit_stay_after_a_stage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_state_of_the_process_stays_after_a_stage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def solve(problem: object, pose: np.ndarray) -> p2o.Solution:
         os.chdir("/")
         sys.setrecursionlimit(5000)
+        sys.stdout = sys.stderr = io.StringIO()
+        np.seterr(all="raise")
+        warnings.simplefilter("error", SyntaxWarning)
+        return p2o.Solution(pose, 0.0, 1)
+
+    def state() -> tuple[object, ...]:
+        return os.getcwd(), sys.getrecursionlimit(), sys.stdout, sys.stderr, np.geterr(), list(warnings.filters)
+
+    monkeypatch.chdir(tmp_path)
+    before = state()
+    build(offer_of(Kind.SOLVER, solve), p2o.Options())(None, np.eye(4))
+    assert state() == before
+
+
+def test_the_working_directory_is_restored_if_a_stage_removes_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def solve(problem: object, pose: np.ndarray) -> p2o.Solution:
+        (tmp_path / "own").mkdir()
+        os.chdir(tmp_path / "own")
+        (tmp_path / "own").rmdir()
         return p2o.Solution(pose, 0.0, 1)
 
     monkeypatch.chdir(tmp_path)
-    before = sys.getrecursionlimit()
     build(offer_of(Kind.SOLVER, solve), p2o.Options())(None, np.eye(4))
-    assert (os.getcwd(), sys.getrecursionlimit()) == (str(tmp_path.resolve()), before)
+    assert os.getcwd() == str(tmp_path.resolve())
+
+
+def test_streams_that_another_thread_redirects_for_its_call_are_restored_after_the_last_call() -> None:
+    inside, done = threading.Event(), threading.Event()
+
+    def redirecting(problem: object, pose: np.ndarray) -> p2o.Solution:
+        with redirect_stdout(io.StringIO()):
+            inside.set()
+            done.wait(10)
+        return p2o.Solution(pose, 0.0, 1)
+
+    before = sys.stdout
+    call = build(offer_of(Kind.SOLVER, redirecting), p2o.Options())
+    thread = threading.Thread(target=call, args=(None, np.eye(4)))
+    thread.start()
+    inside.wait(10)
+    build(offer_of(Kind.SOLVER, lambda _, pose: p2o.Solution(pose, 0.0, 1)), p2o.Options())(None, np.eye(4))
+    done.set()
+    thread.join()
+    assert sys.stdout is before
 
 
 @pytest.mark.parametrize("name", ["start_sigma", "reach"])

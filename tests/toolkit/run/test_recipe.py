@@ -30,6 +30,14 @@ class Unwritable(p2o.Options):
     call: Any = p2o.field(len, help="A value that JSON has no form for.")
 
 
+class TooLarge(p2o.Options):
+    size: int = p2o.field(10**400, help="An integer that readers of JSON refuse.")
+
+
+class InvalidDefault(p2o.Options):
+    size: int = p2o.field("seven", help="A default of another type.")
+
+
 class Rooted(p2o.Options):
     root: str = p2o.field(..., help="A folder.")
     scenes: int = p2o.field(1, help="How many.")
@@ -58,6 +66,8 @@ class Offered:
         (Kind.INITIALIZER, "given", {}),
         (Kind.CALIBRATOR, "whole", {"options": Sized}),
         (Kind.CALIBRATOR, "unwritable", {"options": Unwritable}),
+        (Kind.CALIBRATOR, "too-large", {"options": TooLarge}),
+        (Kind.CALIBRATOR, "invalid-default", {"options": InvalidDefault}),
         (Kind.DATASET, "synthetic", {"options": Sized, "gives": {"rings"}}),
         (Kind.DATASET, "files", {"options": Rooted}),
     )
@@ -451,6 +461,22 @@ def test_progress_is_told_around_every_calibration_and_results_name_recipe_seed_
     assert {"python", "numpy", "p2o-calib"} <= set(result.versions)
 
 
-def test_options_without_a_form_in_json_are_a_fault_of_the_plugin() -> None:
-    with pytest.raises(PluginError, match=r"calibrator 'unwritable' raised Pydantic.* while validating its options"):
-        Recipe(data="synthetic:", calibrator="unwritable").resolve(REGISTRY)
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("unwritable", "its options cannot be stored in results: .*expected finite numbers, texts, lists and dicts"),
+        ("too-large", "its options cannot be stored in results: .* at most 1000 bits"),
+        ("invalid-default", "the default of calibrator.size is not valid; expected a valid integer.*got seven"),
+    ],
+)
+def test_options_that_no_result_can_contain_are_a_fault_of_the_plugin(name: str, text: str) -> None:
+    with pytest.raises(PluginError, match=f"plugin acme: calibrator '{name}': {text}"):
+        Recipe(data="synthetic:", calibrator=name).resolve(REGISTRY)
+
+
+def test_an_option_that_the_user_has_set_wrongly_is_no_fault_of_the_plugin() -> None:
+    with pytest.raises(InputError, match=r"^calibrator\.size is not valid; .* got eight") as caught:
+        Recipe(data="synthetic:", calibrator="invalid-default", options={"calibrator": {"size": "eight"}}).resolve(
+            REGISTRY
+        )
+    assert not isinstance(caught.value, PluginError)

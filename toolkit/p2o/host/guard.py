@@ -35,7 +35,7 @@ from p2o.problems.point_to_line import PointToLine
 from p2o.problems.points_on_rays import PointsOnRays
 from p2o.problems.problem import LeastSquares, Objective, Problem
 from p2o.results.evidence import Agreement
-from p2o.results.result import Result, Solution
+from p2o.results.result import Result, Solution, Status
 from p2o.results.result_json import result_from_dict, result_to_dict
 
 _CHECKED_ON_CONSTRUCTION = (PointToLine, PointsOnRays)
@@ -253,6 +253,13 @@ def _require(offer: Offer, what: str, values: Float, shape: tuple[int, ...], *, 
     return values
 
 
+def _require_covariance(offer: Offer, covariance: Float) -> None:
+    """Raise PluginError for a covariance of another shape, NaN, infinities or negative variances."""
+    _require(offer, "covariance", covariance, (6, 6), finite=True)
+    if (np.diagonal(covariance) < 0).any():
+        raise fault(offer, "covariance has a negative variance", "a diagonal >= 0, in rad^2 and m^2")
+
+
 @contextmanager
 def _calling(offer: Offer, doing: str) -> Iterator[None]:
     """Watch a call that returns values: an InputError without place and next step is about one of them."""
@@ -430,7 +437,7 @@ def _solver(offer: Offer, stage: Callable[..., Any]) -> Any:
             covariance = None if covariance is None else _floats(covariance)
         _require(offer, "cost", cost, ())
         if covariance is not None:
-            _require(offer, "covariance", covariance, (6, 6), finite=True)
+            _require_covariance(offer, covariance)
         return replace(solution, camera_from_lidar=_pose(offer, solution.camera_from_lidar))
 
     return solve
@@ -527,9 +534,13 @@ class GuardedCalibrator:
             # A plain function reads the frames itself: as a list, all of them would be in memory.
             result: Result = solve(list(prepared) if self.prepares else prepared, start)
             _typed(self._offer, result, Result)
+            if not isinstance(result.status, Status):
+                raise fault(self._offer, f"the status is {result.status!r:.40}", "a p2o.Status")
             pose = _pose(self._offer, result.camera_from_lidar if result.status.solved else start)
             result = replace(result, start=start, camera_from_lidar=pose)
-            result_from_dict(result_to_dict(result))  # raises for a field of another type or shape
+            checked_result = result_from_dict(result_to_dict(result))  # raises for a field of another type or shape
+            if checked_result.covariance is not None:
+                _require_covariance(self._offer, checked_result.covariance)
         return result
 
     def __call__(self, frames: Sequence[Frame], camera_from_lidar: Float, /) -> Result:

@@ -12,14 +12,16 @@ import os
 import re
 import signal
 import sys
+import threading
+import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from importlib.metadata import Distribution, EntryPoint, PackageNotFoundError, entry_points, requires
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import pluggy
 
@@ -443,26 +445,65 @@ def watch(offer: Offer, doing: str) -> Iterator[None]:
 
 @contextmanager
 def _same_process() -> Iterator[None]:
-    """Restore working directory and recursion limit: paths that a user gives are relative to the directory.
+    """Restore the state of the process that other methods depend on, such as the working directory.
 
     A process that a plugin has forked and that returns from the call ends here: it would repeat the rest of the work.
     """
     process = os.getpid()
     limit = sys.getrecursionlimit()
-    try:
-        folder = os.getcwd()
-    except FileNotFoundError:  # it was removed meanwhile
-        folder = ""
+    folder = _working_directory()
+    numpy = sys.modules.get("numpy")
+    with _streams_and_warnings(), nullcontext() if numpy is None else numpy.errstate():
+        try:
+            yield
+        finally:
+            if os.getpid() != process:
+                text = b"p2o: warning: ended a process that a plugin had forked and that returned from its call\n"
+                os.write(2, text)
+                os._exit(1)
+            if sys.getrecursionlimit() != limit:
+                sys.setrecursionlimit(limit)
+            if folder and _working_directory() != folder:
+                os.chdir(folder)
+
+
+_states: list[tuple[Any, Any, list[Any]]] = []
+"""Streams and warning filters at the beginning of each running call of a plugin, in all threads."""
+_states_lock = threading.Lock()
+
+
+@contextmanager
+def _streams_and_warnings() -> Iterator[None]:
+    """Restore `sys.stdout` and `sys.stderr` and remove new filters that raise warnings, when no call is running.
+
+    Threads share them: another thread may have redirected them for the duration of its own call.
+    """
+    with _states_lock:
+        _states.append((sys.stdout, sys.stderr, _raising_filters()))
     try:
         yield
     finally:
-        if os.getpid() != process:
-            os.write(2, b"p2o: warning: ended a process that a plugin had forked and that returned from its call\n")
-            os._exit(1)
-        if sys.getrecursionlimit() != limit:
-            sys.setrecursionlimit(limit)
-        if folder and os.getcwd() != folder:
-            os.chdir(folder)
+        with _states_lock:
+            stdout, stderr, raising = _states[0]
+            _states.pop()
+            if not _states:
+                sys.stdout, sys.stderr = stdout, stderr
+                if any(entry not in raising for entry in _raising_filters()):
+                    kept = [entry for entry in warnings.filters if entry[0] != "error" or entry in raising]
+                    warnings.resetwarnings()
+                    list.extend(cast(Any, warnings.filters), kept)
+
+
+def _raising_filters() -> list[Any]:
+    return [entry for entry in warnings.filters if entry[0] == "error"]
+
+
+def _working_directory() -> str:
+    """Return the working directory, an empty text if it was removed."""
+    try:
+        return os.getcwd()
+    except FileNotFoundError:
+        return ""
 
 
 _reports: list[Callable[[str], object]] = []

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from p2o.errors import InputError
-from p2o.host.registry import Offer, watch
+from p2o.errors import InputError, P2OError, one_line
+from p2o.files.parsed_text import parse_json
+from p2o.host.registry import Offer, fault, watch
 from p2o.options import Options, validated
 
 
@@ -36,6 +38,26 @@ def part_of(offer: Offer, stage: str, values: dict[str, Any], seed: int) -> Part
     if "seed" in fields:
         values = {"seed": seed, **values}
     with watch(offer, "validating its options"):
-        options = validated(offer.method.options, values, stage)
-        options.model_dump_json()  # results and stored rows contain them
+        try:
+            options = validated(offer.method.options, values, stage)
+        except InputError as problem:
+            raise _of_default(offer, stage, values, problem) from problem
+        _refuse_unstorable(offer, options)
     return Part(offer, options)
+
+
+def _of_default(offer: Offer, stage: str, values: Mapping[str, Any], problem: InputError) -> P2OError:
+    """Return the error of options; that of a default, which the user has not set, names the plugin."""
+    fields = offer.method.options.model_fields
+    name = problem.what.removeprefix(f"{stage}.").partition(" ")[0].partition(".")[0]
+    given = name in values or name not in fields or fields[name].is_required()
+    return problem if given else fault(offer, f"the default of {problem}")
+
+
+def _refuse_unstorable(offer: Offer, options: Options) -> None:
+    """Raise PluginError for options that results and stored rows cannot contain."""
+    try:
+        parse_json(options.model_dump_json(), "text of the options")
+    except (InputError, ValueError) as problem:
+        what = f"its options cannot be stored in results: {one_line(problem)}"
+        raise fault(offer, what, "finite numbers, texts, lists and dicts") from problem

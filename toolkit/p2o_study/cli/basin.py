@@ -66,7 +66,7 @@ def command(
     known_study = None if study is None else find_study(study, registry)
     contenders = [contender_of(name, known_study, registry) for name in dict.fromkeys(methods)]
     file = basin_study(contenders, grid, **words)
-    with session_words(plugins, Workers(jobs), quiet) as session:
+    with session_words(plugins, Workers(jobs, isolate=None), quiet) as session:
         done = ablate(file, out, at_most=at_most, **session)
     basins = [basin_of(contender, grid, done.rows) for contender in contenders]
     for basin in basins:

@@ -90,7 +90,9 @@ class _Bench:
         """Return the context with the words of a session that computes, which shows its progress."""
         from p2o_study.parallel import Workers
 
-        return session_words(self.plugins, Workers(self.workers, self.backend, self.address), self.quiet or as_json)
+        return session_words(
+            self.plugins, Workers(self.workers, self.backend, self.address, isolate=None), self.quiet or as_json
+        )
 
 
 _OPTIONS: dict[str, Callable[[Any], Any]] = {

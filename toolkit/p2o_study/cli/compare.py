@@ -75,7 +75,7 @@ def command(
 
     plugins = Plugins.of(block, plugin)
     contenders = contenders_of([name.strip() for name in methods.split(",")], plugins.registry())
-    with session_words(plugins, Workers(jobs), quiet or as_json) as session:
+    with session_words(plugins, Workers(jobs, isolate=None), quiet or as_json) as session:
         done, comparison = compare(contenders, data, out, seeds=parse_seeds(seeds), **words, **session)
     if done.interrupted or done.missing:
         click.echo(f"p2o: interrupted; {len(done.rows)} rows are kept in {out}; the same command continues", err=True)
