@@ -27,7 +27,7 @@ from p2o_datasets.arrow_file import read_feather
 from p2o_datasets.cloud_file import cloud_from_fields
 from p2o_datasets.ego_path import EgoPath, moved_cloud, nearest, pose_rows
 from p2o_datasets.kitti_folder import is_number
-from p2o_datasets.lazy_dataset import Listed, Words, cameras_field, chosen, drives_in, in_drive, read_image
+from p2o_datasets.lazy_dataset import Listed, Words, cameras_field, chosen, drives_in, read_image, rig_frame
 
 RING_CAMERAS = ("front_center", "front_left", "front_right", "side_left", "side_right", "rear_left", "rear_right")
 CAMERAS = (*(f"ring_{name}" for name in RING_CAMERAS), "stereo_front_left", "stereo_front_right")
@@ -40,7 +40,7 @@ _SAME_MOMENT_NS = 55_000_000
 _QUATERNION, _TRANSLATION = ("qw", "qx", "qy", "qz"), ("tx_m", "ty_m", "tz_m")
 _POSE = dict.fromkeys((*_QUATERNION, *_TRANSLATION), "number")
 _INTRINSICS = dict.fromkeys(("fx_px", "fy_px", "cx_px", "cy_px", "width_px", "height_px"), "number")
-_SWEEP = dict.fromkeys(("x", "y", "z", "intensity", "laser_number", "offset_ns"), "number")
+_SWEEP = dict.fromkeys(("x", "y", "z", "intensity"), "number") | {"laser_number": "integer", "offset_ns": "integer"}
 # Ranges used to assign lasers: nearer returns are from the vehicle itself, and farther ones vary less in elevation.
 _ASSIGNMENT_RANGE_M = (4.0, 40.0)
 _MIN_RETURNS = 20
@@ -88,7 +88,7 @@ class _Log:
     def path(self) -> EgoPath:
         """Path of the vehicle in the frame of the city."""
         path = self.folder / "city_SE3_egovehicle.feather"
-        table = read_feather(path, "table of poses", {"timestamp_ns": "number", **_POSE})
+        table = read_feather(path, "table of poses", {"timestamp_ns": "integer", **_POSE})
         time_ns, first = np.unique(table["timestamp_ns"].astype(np.int64), return_index=True)
         return EgoPath(time_ns, _poses(table, path)[first], path)
 
@@ -184,14 +184,18 @@ def _read(options: Argoverse2Options, pair: _Pair) -> Frame:
         later_s = (pair.sweep_ns - (pair.image_ns if options.moved else pair.sweep_ns)) / _SECOND
         cloud = replace(cloud, time_s=cloud.time_s + later_s, twist=twist)
     extrinsic = se3.inverse(log.sensor(pair.camera)) @ ego_from_lidar
-    drive = in_drive(log.folder.name, pair.camera, (pair.image_ns - pair.first_ns) / _SECOND, now)
-    warnings += cloud_warnings
-    return Frame(pair.name, image, cloud, camera_from_lidar=extrinsic, twist=twist, warnings=warnings, **drive)
+    time_s, warnings = (pair.image_ns - pair.first_ns) / _SECOND, (*warnings, *cloud_warnings)
+    return rig_frame(pair.name, time_s, image, cloud, extrinsic, now, *warnings, twist=twist)
 
 
 def _sweep(options: Argoverse2Options, pair: _Pair, lidar_from_ego: Float) -> tuple[Cloud, tuple[str, ...]]:
     """Return the points of the selected LiDAR in its frame, with times in s after the sweep's stamp, and warnings."""
     table = read_feather(pair.sweep, "sweep", _SWEEP)
+    for name, most in (("laser_number", 2 * _BEAMS - 1), ("offset_ns", 2 * _SWEEP_NS)):
+        least, largest = (int(end(table[name], initial=0)) for end in (np.min, np.max))
+        if least < 0 or largest > most:
+            got = f"{least} to {largest}"
+            raise InputError(f"{name} is out of range", where=pair.sweep, expected=f"0 to {most}", got=got)
     fields: dict[str, Any] = {key: table[key] for key in ("x", "y", "z", "intensity")}
     fields |= {"ring": table["laser_number"], "time_s": table["offset_ns"].astype(np.float64) / _SECOND}
     warnings: tuple[str, ...] = ()
@@ -201,8 +205,7 @@ def _sweep(options: Argoverse2Options, pair: _Pair, lidar_from_ego: Float) -> tu
         kept = low if is_up == (options.lidar == "up_lidar") else ~low
         if not kept.any():
             fault = f"the sweep has no points of {options.lidar}"
-            got = f"{table['laser_number'].min()} to {table['laser_number'].max()}"
-            raise InputError(fault, where=pair.sweep, expected="laser numbers 0 to 63", got=got)
+            raise InputError(fault, where=pair.sweep, expected="32 lasers each", got=f"{len(low)} points of the other")
         fields = {key: value[kept] for key, value in fields.items()}
         warnings = (remark,) if remark else ()
     cloud, remarks = cloud_from_fields(fields, pair.sweep)

@@ -30,7 +30,7 @@ _MAX_RATIO = 1000
 def read_feather(path: Path, what: str, columns: Mapping[str, str]) -> dict[str, Any]:
     """Return columns of a Feather file by name, each (N,); `columns` maps them to their kind.
 
-    A "number" column becomes an array (integers stay integers), a "text" column a list. Other columns are not read.
+    A "number" or "integer" column becomes an array, a "text" column a list. Other columns are not read.
 
     Raises InputError without pyarrow, for a missing or damaged file, and for columns that are missing, of another kind,
     or have empty cells.
@@ -147,13 +147,14 @@ def _values(column: Any, name: str, kind: str, path: Path) -> Any:
         raise _too_large(path, f"column {name}", f"{_MAX_TEXTS} texts", f"{len(column)}")
     if pa.types.is_dictionary(column.type):
         column = column.cast(column.type.value_type)
-    numeric = pa.types.is_integer(column.type) or pa.types.is_floating(column.type)
     text = pa.types.is_string(column.type) or pa.types.is_large_string(column.type)
-    if not (numeric if kind == "number" else text):
+    whole = pa.types.is_integer(column.type)
+    fits = {"text": text, "integer": whole, "number": whole or pa.types.is_floating(column.type)}
+    if not fits[kind]:
         raise InputError(f"column {name} has another type", where=path, expected=f"{kind}s", got=str(column.type))
     if column.null_count:
         raise InputError(f"column {name} has empty cells", where=path, expected="none", got=column.null_count)
-    return column.to_numpy() if kind == "number" else column.to_pylist()
+    return column.to_pylist() if kind == "text" else column.to_numpy()
 
 
 def _cell(scalar: Any) -> Any:

@@ -40,9 +40,9 @@ def read_bin(data: bytes, path: Path, columns: Sequence[str] | None = None) -> M
         fault, expected = f"the rows do not have {len(columns)} numbers", "the same quantities in all rows"
         raise InputError(fault, where=path, expected=expected, got=f"{OPTION}: {' '.join(columns)[:200]}")
     row = 4 * len(columns)
-    if len(data) % row:
+    bare = len(data) % 12 == 0 and _is_possible(values, 3) and not _is_possible(values, len(columns))
+    if len(data) % row or (bare and "intensity" in columns[3:4]):
         expected = f"a multiple of {row} bytes ({' '.join(columns)} as float32)"
-        bare = len(data) % 12 == 0 and _is_possible(values, 3) and not _is_possible(values, len(columns))
         text = "the point cloud has other columns, or is truncated" if bare else "the point cloud is truncated"
         hint = "rows of three numbers (x y z) fit" if bare else None
         raise InputError(text, where=path, expected=expected, got=f"{len(data)} bytes", hint=hint)
@@ -134,6 +134,7 @@ def _is_possible(values: Any, count: int) -> bool:
     return whole and (count < 6 or bool(np.isfinite(rows[:, 5]).all()))
 
 
+@np.errstate(invalid="ignore")
 def _is_uniform(values: Any, count: int) -> bool:
     """Return whether x and y have similar spreads in every k-th row; rows of another length mix quantities."""
     rows = values[: min(values.size // count, _SAMPLE) * count].reshape(-1, count)[:, :2].astype(np.float64)

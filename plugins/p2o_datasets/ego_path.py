@@ -13,6 +13,7 @@ from p2o import Cloud, Float, InputError, Int, se3
 _SECOND = 1_000_000_000
 # Within this time the path between two poses is nearly a motion at constant velocity.
 _MAX_GAP_NS = _SECOND
+_MAX_SPEED_M_S = 100.0
 # Time before the first and after the last pose for which the motion is extrapolated.
 _MARGIN_NS = _SECOND // 5
 
@@ -33,6 +34,7 @@ class EgoPath:
             raise InputError("there are no poses of the vehicle", where=self.where, expected="at least one")
         if (np.diff(self.time_ns) <= 0).any():
             raise InputError("the times of the poses do not ascend", where=self.where)
+        refuse_jump(self.world_from_body, np.diff(self.time_ns) / _SECOND, self.where)
 
     def fixed_to(self, body_from_sensor: Float) -> EgoPath:
         """Return the path of a sensor that is fixed to this body."""
@@ -69,6 +71,19 @@ class EgoPath:
             return self.twist(from_ns, to_ns)
         except InputError:
             return None
+
+
+def refuse_jump(world_from_body: Float, seconds: Any, where: Path) -> None:
+    """Raise InputError if a vehicle with successive poses (N, 4, 4) moves faster than 100 m/s, with a margin of 1 m.
+
+    `seconds` (N - 1,) are the times between them, or one time for all.
+    """
+    step_m = np.linalg.norm(np.diff(world_from_body[:, :3, 3], axis=0), axis=1)
+    wrong = np.flatnonzero(step_m > 1 + _MAX_SPEED_M_S * np.abs(seconds))
+    if len(wrong):
+        fault, expected = "the vehicle jumps between two poses", f"at most 1 m + {_MAX_SPEED_M_S:g} m/s"
+        got = f"{step_m[wrong[0]]:.4g} m after {world_from_body[wrong[0], :3, 3].round(2).tolist()}"
+        raise InputError(fault, where=where, expected=expected, got=got)
 
 
 def moved_cloud(cloud: Cloud, now_from_then: Float) -> Cloud:

@@ -26,7 +26,7 @@ from p2o_formats.kitti_calibration import calibration_of, read_calibration, rect
 from p2o_datasets import lazy_dataset
 from p2o_datasets.ego_path import EgoPath
 from p2o_datasets.kitti_folder import add_pairs, is_number, read_stamps, sweeps
-from p2o_datasets.lazy_dataset import Listed, Words, cameras_field, chosen, drives_in, finite_number, in_drive
+from p2o_datasets.lazy_dataset import Listed, Words, cameras_field, chosen, drives_in, finite_number, rig_frame
 from p2o_datasets.mei_camera import MeiLens, mei_camera
 from p2o_datasets.velodyne_file import SWEEP_S, compensated, read_sweep
 
@@ -168,9 +168,8 @@ def _read(options: Kitti360Options, entry: tuple[_Drive, str, Path, Path]) -> Fr
     moment_ns = drive.time_ns(frame) + round(options.image_delay_s * _SECOND)
     pose, twist, lacking = _motion(drive, moment_ns)
     cloud, remarks = compensated(cloud, twist, asked=options.deskew, lacking=lacking)
-    name, warnings = f"{drive.name}/{camera_name}/{image_path.stem}", (*warnings, *cloud_warnings, *remarks)
-    place = in_drive(drive.name, camera_name, (moment_ns - drive.time_ns(0)) / _SECOND, pose)
-    return Frame(name, image, cloud, camera_from_lidar=extrinsic, twist=twist, warnings=warnings, **place)
+    name, time_s = f"{drive.name}/{camera_name}/{image_path.stem}", (moment_ns - drive.time_ns(0)) / _SECOND
+    return rig_frame(name, time_s, image, cloud, extrinsic, pose, *warnings, *cloud_warnings, *remarks, twist=twist)
 
 
 def _motion(drive: _Drive, moment_ns: int) -> tuple[Float | None, Float | None, str]:

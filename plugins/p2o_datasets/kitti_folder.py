@@ -51,10 +51,12 @@ def add_pairs(
     *,
     clouds: Mapping[str, Path] | None = None,
     numbered: bool = True,
+    lacking: str = "",
 ) -> None:
     """Add the entries (*drive, image, sweep) of ids with both files to the frames, and skip other ids with the reason.
 
-    Names are the ids with `prefix`. `clouds` are the sweeps by the ids of their images (default: those of the folder).
+    Names are the ids with `prefix`. `clouds` are the sweeps by the ids of their images (default: those of the folder);
+    `lacking` is the reason to skip images without one (default: the file of this id is missing).
     If the ids are `numbered`, files with other names are skipped, too.
     """
     images, clouds = images_in(image_folder), sweeps(cloud_folder) if clouds is None else clouds
@@ -63,7 +65,7 @@ def add_pairs(
         if numbered and not is_number(frame):
             reason = f"{images.get(frame, clouds.get(frame))}: the name of the file is not a number"
         elif frame not in clouds:
-            reason = f"{cloud_folder / frame}.bin is missing"
+            reason = f"{images[frame]}: {lacking}" if lacking else f"{cloud_folder / frame}.bin is missing"
         elif frame not in images:
             reason = f"{image_folder / frame}.png is missing"
         frames.add(prefix + frame, (*drive, images.get(frame), clouds.get(frame)), reason)

@@ -16,7 +16,7 @@ _MAX_VALUES = np.array([89.0, 360.0, 1e5, *[10.0] * 3, *[1e3] * 5, *[1e4] * 6, *
 
 
 def read_packet(path: Path) -> Float:
-    """Return the numbers of one oxts file, at least 25, in the order of KITTI's dataformat.txt.
+    """Return the 30 numbers of one oxts file in the order of KITTI's dataformat.txt.
 
     Raises InputError if the file is missing, incomplete, or contains implausible positions or velocities.
     """
@@ -25,9 +25,9 @@ def read_packet(path: Path) -> Float:
         values = np.array(text.split(), dtype=np.float64)
     except ValueError as problem:
         raise InputError("the oxts packet does not contain numbers", where=path, expected="30 numbers") from problem
-    if values.size < 25 or not np.isfinite(values[:25]).all():
-        expected = "30 numbers"
-        raise InputError("the oxts packet is truncated or not finite", where=path, expected=expected, got=values.size)
+    if values.size != 30 or not np.isfinite(values).all():
+        fault = "the oxts packet is truncated or not finite"
+        raise InputError(fault, where=path, expected="30 finite numbers", got=values.size)
     strange = np.flatnonzero(np.abs(values[: len(_MAX_VALUES)]) > _MAX_VALUES)
     if len(strange):
         fault = f"number {strange[0] + 1} of the oxts packet is implausible"

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from p2o_datasets import kitti_folder
 from p2o_datasets.disparity_speed import forward_speed
 from p2o_datasets.kitti_folder import images_in, is_number, read_stamp, read_stamps, seconds_of, without_radial_error
 from p2o_datasets.kitti_oxts import has_fix, lidar_pose, read_packet, twist_of
-from p2o_datasets.lazy_dataset import Listed, in_drive, read_image
+from p2o_datasets.lazy_dataset import Listed, read_image
 from p2o_datasets.velodyne_file import IMAGE_DELAY_S, SWEEP_S, compensated, read_sweep
 
 _DRIVE = re.compile(r"(\d{4}_\d\d_\d\d)_drive_(\d{4})_(sync|extract)", re.ASCII)
@@ -89,7 +89,9 @@ def build(options: KittiRawOptions) -> Dataset:
     for drive in sorted(drives.values(), key=lambda drive: drive.name):
         clouds = None if drive.synchronised else _nearest_in_time(drive.folder, image_folder)
         folders = (drive.folder / image_folder / "data", drive.folder / "velodyne_points/data")
-        kitti_folder.add_pairs(frames, *folders, f"{drive.name}/", (drive,), clouds=clouds)
+        lacking = f"no sweep within {_SAME_MOMENT_S:g} s of the image, by their files timestamps.txt"
+        why = "" if drive.synchronised else lacking
+        kitti_folder.add_pairs(frames, *folders, f"{drive.name}/", (drive,), clouds=clouds, lacking=why)
     expected = f"DATE/DATE_drive_NNNN_sync with {image_folder}/data and velodyne_points/data"
     got = f"{len(drives)} drives" if drives else "no drive"
     return frames.lazy("KITTI raw", root, partial(_read, options), expected=expected, got=got)
@@ -120,8 +122,8 @@ def _read(options: KittiRawOptions, entry: tuple[_Drive, Path, Path]) -> Frame:
         f"{drive.name}/{image_path.stem}",
         (*warnings, *mounting.remarks(cam0_from_lidar), *cloud_warnings, *remarks),
     )
-    place = in_drive(drive.name, "", _time_s(image_path), pose)
-    return Frame(name, image, cloud, camera_from_lidar=extrinsic, twist=twist, warnings=warnings, **place)
+    moment: dict[str, Any] = {"time_s": _time_s(image_path), "lidar_world_from_lidar": pose, "sequence": drive.name}
+    return Frame(name, image, cloud, camera_from_lidar=extrinsic, twist=twist, warnings=warnings, **moment)
 
 
 def _rectified(

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from p2o import Camera, Float, Frame, Image, InputError, UnknownNameError, field
+from p2o import Camera, Cloud, Float, Frame, Image, InputError, UnknownNameError, field
 from p2o.reading import LazyFrames, listing, naming, read_rgb
+from p2o_formats.kitti_calibration import far_apart
 from pydantic import BeforeValidator
 
 
@@ -61,12 +62,19 @@ def read_image(path: Path, camera: Camera | Callable[[int, int], Camera]) -> tup
         return Image(rgb, camera if isinstance(camera, Camera) else camera(rgb.shape[1], rgb.shape[0])), warnings
 
 
-def in_drive(sequence: str, camera_name: str, time_s: float | None, pose: Float | None) -> dict[str, Any]:
-    """Return the arguments of a frame of a drive: sequence, camera, time in s, and the pose of the LiDAR in the world.
+def rig_frame(
+    name: str, time_s: float, image: Image, cloud: Cloud, extrinsic: Float, pose: Float | None, *warnings: str,
+    twist: Float | None = None,
+) -> Frame:  # fmt: skip
+    """Return a frame of a drive, whose name is "sequence/camera/image", with a remark on an implausible extrinsic.
 
-    The pose of the camera is not given: together with that of the LiDAR it would reveal the ground truth.
+    `pose` is that of the LiDAR in the world. The pose of the camera is not given: together with that of the LiDAR it
+    would reveal the ground truth.
     """
-    return {"sequence": sequence, "camera_name": camera_name, "time_s": time_s, "lidar_world_from_lidar": pose}
+    sequence, camera, _ = name.rsplit("/", 2)
+    drive: dict[str, Any] = {"sequence": sequence, "camera_name": camera, "lidar_world_from_lidar": pose}
+    warnings += far_apart(name, extrinsic)
+    return Frame(name, image, cloud, extrinsic, twist=twist, warnings=warnings, time_s=time_s, **drive)
 
 
 def finite_number(value: Any, name: str, path: Path) -> float:

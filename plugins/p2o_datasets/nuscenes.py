@@ -15,9 +15,9 @@ from p2o.reading import existing_folder, layout, listing
 from p2o_formats.camera_entry import read_camera
 
 from p2o_datasets.cloud_file import read_cloud
-from p2o_datasets.ego_path import moved_cloud, nearest
-from p2o_datasets.lazy_dataset import Listed, Words, cameras_field, chosen, file_inside, in_drive, read_image
-from p2o_datasets.nuscenes_tables import by_token, matrix_of, named, number_of, pose_of, records, text_of
+from p2o_datasets.ego_path import moved_cloud, nearest, refuse_jump
+from p2o_datasets.lazy_dataset import Listed, Words, cameras_field, chosen, file_inside, read_image, rig_frame
+from p2o_datasets.nuscenes_tables import by_token, matrix_of, named, number_of, pose_of, records, text_of, wrong
 
 CAMERAS = ("CAM_FRONT", "CAM_FRONT_LEFT", "CAM_FRONT_RIGHT", "CAM_BACK", "CAM_BACK_LEFT", "CAM_BACK_RIGHT")
 _LIDAR = "LIDAR_TOP"
@@ -53,6 +53,10 @@ class _File:
     sensor: str
     ego_pose: str
 
+    @property
+    def name(self) -> str:
+        return f"{self.scene}/{self.channel}/{self.time_us}"
+
 
 @dataclass(frozen=True, eq=False)
 class _Source:
@@ -79,11 +83,10 @@ def build(options: NuscenesOptions) -> Dataset:
     pairs = _pairs(files, options)
     frames = Listed()
     for image, sweep in pairs:
-        name = f"{image.scene}/{image.channel}/{image.time_us}"
         missing = (root / file.file for file in (image, sweep) if not os.path.isfile(root / file.file))
-        frames.add(name, (image, sweep), next((f"{path} is missing" for path in missing), ""))
+        frames.add(image.name, (image, sweep), next((f"{path} is missing" for path in missing), ""))
     wanted = {file.ego_pose for pair in frames.entries.values() for file in pair}
-    poses = by_token(tables, "ego_pose", lambda record: record.get("token") in wanted)
+    poses = by_token(tables, "ego_pose", wanted.__contains__)
     first_us: dict[str, int] = {}
     for image, _ in frames.entries.values():
         first_us[image.scene] = min(image.time_us, first_us.get(image.scene, image.time_us))
@@ -115,19 +118,19 @@ def _files(tables: Path, channels: Sequence[str], options: NuscenesOptions) -> l
     wanted = frozenset(chosen("scene", options.scenes, scenes.values(), where=tables))
     channel_of = _channel_of(tables)
     where, samples = tables / "sample.json", by_token(tables, "sample").items()
-    scene_of = {token: scenes.get(text_of(record, "scene_token", where), "") for token, record in samples}
+    scene_of = {token: named(scenes, text_of(record, "scene_token", where), where) for token, record in samples}
     path = tables / "sample_data.json"
     files = []
     for record in records(tables, "sample_data"):
-        is_key = record.get("is_key_frame") is True
+        is_key = record.get("is_key_frame")
+        if not isinstance(is_key, bool):
+            raise wrong(record, "is_key_frame", "true or false", path)
         sensor = text_of(record, "calibrated_sensor_token", path)
-        channel = channel_of.get(sensor, "")
+        channel = named(channel_of, sensor, path)
         if channel not in (*channels, _LIDAR) or not (is_key or options.between):
             continue
         sample = text_of(record, "sample_token", path)
-        scene = scene_of.get(sample)
-        if not scene:
-            raise InputError("a table refers to a missing record", where=path, got=f"sample {sample[:80]}")
+        scene = named(scene_of, sample, path)
         if scene not in wanted:
             continue
         size = (0, 0) if channel == _LIDAR else (number_of(record, "width", path), number_of(record, "height", path))
@@ -181,13 +184,12 @@ def _read(source: _Source, pair: tuple[_File, _File]) -> Frame:
     image, warnings = read_image(image_path, camera)
     cloud, cloud_warnings = read_cloud(sweep_path, columns=_COLUMNS)
     world_from_lidar = now @ ego_from_lidar
+    refuse_jump(np.array([then, now]), (image_file.time_us - sweep_file.time_us) / _PER_SECOND, poses)
     if source.options.moved:
         cloud = moved_cloud(cloud, se3.inverse(world_from_lidar) @ (then @ ego_from_lidar))
-    scene, channel, time_us = image_file.scene, image_file.channel, image_file.time_us
     extrinsic = se3.inverse(ego_from_camera) @ ego_from_lidar
-    drive = in_drive(scene, channel, (time_us - source.first_us[scene]) / _PER_SECOND, world_from_lidar)
-    name, warnings = f"{scene}/{channel}/{time_us}", (*warnings, *cloud_warnings)
-    return Frame(name, image, cloud, camera_from_lidar=extrinsic, warnings=warnings, **drive)
+    time_s = (image_file.time_us - source.first_us[image_file.scene]) / _PER_SECOND
+    return rig_frame(image_file.name, time_s, image, cloud, extrinsic, world_from_lidar, *warnings, *cloud_warnings)
 
 
 METHOD = Method(

@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, TextIO, TypeVar
 
 from p2o import Float, InputError
 from p2o.reading import read_pose, read_start
@@ -93,21 +93,21 @@ class _Text:
 
 
 _DECODER = json.JSONDecoder()
+_Entry = TypeVar("_Entry")
 
 
-def by_token(
-    folder: Path, table: str, kept: Callable[[Mapping[str, Any]], bool] = lambda _: True
-) -> dict[str, Mapping[str, Any]]:
-    """Return the records of a table for which `kept` is true, by token; raises InputError as `records`."""
+def by_token(folder: Path, table: str, kept: Callable[[str], bool] = lambda _: True) -> dict[str, Mapping[str, Any]]:
+    """Return the records of a table for whose tokens `kept` is true, by token; raises InputError as `records`."""
     path = folder / f"{table}.json"
-    return {text_of(record, "token", path): record for record in records(folder, table) if kept(record)}
+    tokens = ((text_of(record, "token", path), record) for record in records(folder, table))
+    return {token: record for token, record in tokens if kept(token)}
 
 
 def text_of(record: Mapping[str, Any], key: str, path: Path) -> str:
     """Return a text of a record; raises InputError if it is missing or of another type."""
     value = record.get(key)
     if not isinstance(value, str) or not value:
-        raise _wrong(record, key, "a text", path)
+        raise wrong(record, key, "a text", path)
     return value
 
 
@@ -115,12 +115,12 @@ def number_of(record: Mapping[str, Any], key: str, path: Path) -> int:
     """Return a non-negative integer of a record; raises InputError if it is missing or of another type."""
     value = record.get(key)
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 1 << 62:
-        raise _wrong(record, key, "an integer", path)
+        raise wrong(record, key, "an integer", path)
     return value
 
 
-def named(table: Mapping[str, Mapping[str, Any]], token: str, path: Path) -> Mapping[str, Any]:
-    """Return the record with a token; raises InputError, with the `path` of the table, if it is missing."""
+def named(table: Mapping[str, _Entry], token: str, path: Path) -> _Entry:
+    """Return the entry of a token; raises InputError, with the `path` of a table, if it is missing."""
     if token not in table:
         raise InputError("a table refers to a missing record", where=path, expected=f"token {token[:80]}")
     return table[token]
@@ -133,7 +133,7 @@ def pose_of(record: Mapping[str, Any], path: Path) -> Float:
     """
     rotation = record.get("rotation")
     if not isinstance(rotation, list) or len(rotation) != 4:
-        raise _wrong(record, "rotation", "a quaternion w x y z", path)
+        raise wrong(record, "rotation", "a quaternion w x y z", path)
     value = {"rotation_xyzw": [*rotation[1:], rotation[0]], "translation_m": record.get("translation")}
     return read_pose(f"the pose of {str(record.get('token'))[:80]}", value, path)[0]
 
@@ -142,10 +142,11 @@ def matrix_of(record: Mapping[str, Any], key: str, path: Path) -> Any:
     """Return the rows of a 3x3 matrix; raises InputError if it is missing, as for sensors other than cameras."""
     value = record.get(key)
     if not isinstance(value, list) or len(value) != 3:
-        raise _wrong(record, key, "3 rows of 3 numbers", path)
+        raise wrong(record, key, "3 rows of 3 numbers", path)
     return value
 
 
-def _wrong(record: Mapping[str, Any], key: str, expected: str, path: Path) -> InputError:
+def wrong(record: Mapping[str, Any], key: str, expected: str, path: Path) -> InputError:
+    """Return the error for a value of a record."""
     got = f"{str(record.get(key))[:80]} (token {str(record.get('token'))[:80]})"
     return InputError(f"a record has a wrong '{key}'", where=path, expected=expected, got=got)

@@ -26,7 +26,16 @@ from p2o_datasets.bin_file import KITTI_COLUMNS
 from p2o_datasets.cloud_file import read_cloud
 from p2o_datasets.ego_path import pose_rows
 from p2o_datasets.kitti_folder import is_number
-from p2o_datasets.lazy_dataset import Listed, Words, cameras_field, chosen, drives_in, file_inside, in_drive, read_image
+from p2o_datasets.lazy_dataset import (
+    Listed,
+    Words,
+    cameras_field,
+    chosen,
+    drives_in,
+    file_inside,
+    read_image,
+    rig_frame,
+)
 
 CAMERAS = ("cam01", "cam03", "cam05", "cam06", "cam07", "cam08", "cam09")
 _LIDAR = "lidar_roof"
@@ -133,9 +142,8 @@ def _read(options: OnceOptions, shot: _Shot) -> Frame:
     cloud, cloud_warnings = read_cloud(sweep_path, columns=KITTI_COLUMNS)
     first = _id(sequence.frames[0], sequence.path)
     pose = _pose(sequence.frames[shot.number], shot.id, sequence.path)
-    drive = in_drive(sequence.name, shot.camera, (int(shot.id) - int(first)) / _PER_SECOND, pose)
-    extrinsic, warnings = se3.inverse(lidar_from_camera), (*warnings, *cloud_warnings)
-    return Frame(shot.name, image, cloud, camera_from_lidar=extrinsic, warnings=warnings, **drive)
+    time_s, extrinsic = (int(shot.id) - int(first)) / _PER_SECOND, se3.inverse(lidar_from_camera)
+    return rig_frame(shot.name, time_s, image, cloud, extrinsic, pose, *warnings, *cloud_warnings)
 
 
 def _mounted(shot: _Shot) -> tuple[Mapping[str, Any], Float]:

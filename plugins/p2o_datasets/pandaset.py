@@ -31,8 +31,8 @@ from p2o_datasets.lazy_dataset import (
     chosen,
     drives_in,
     finite_number,
-    in_drive,
     read_image,
+    rig_frame,
 )
 from p2o_datasets.pickled_table import read_pickled_table
 
@@ -206,9 +206,8 @@ def _read(options: PandasetOptions, entry: tuple[_Rig, str, Path, Path]) -> Fram
     known = span_ns is not None and span_ns[1] - span_ns[0] >= _SECOND // 1000
     twist = lidar.twist_or_none(*span_ns) if known and span_ns is not None else None
     cloud = replace(cloud, time_s=None) if twist is None or cloud.time_s is None else replace(cloud, twist=twist)
-    name, warnings = f"{sequence.name}/{rig.name}/{number}", (*warnings, *cloud_warnings, *remark)
-    drive = in_drive(sequence.name, rig.name, (image_ns - int(lidar.time_ns[0])) / _SECOND, now)
-    return Frame(name, image, cloud, camera_from_lidar=mounting, twist=twist, warnings=warnings, **drive)
+    name, time_s = f"{sequence.name}/{rig.name}/{number}", (image_ns - int(lidar.time_ns[0])) / _SECOND
+    return rig_frame(name, time_s, image, cloud, mounting, now, *warnings, *cloud_warnings, *remark, twist=twist)
 
 
 def _at(sensor: _Sensor, frame: int) -> tuple[int, Float]:

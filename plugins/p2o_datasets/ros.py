@@ -20,7 +20,7 @@ from p2o_datasets.bags.point_columns import columns_of
 from p2o_datasets.bags.tf import read_frame_tree, read_transforms
 from p2o_datasets.cloud_file import ReadPoints, read_points
 from p2o_datasets.ego_path import nearest
-from p2o_datasets.lazy_dataset import Words, in_drive
+from p2o_datasets.lazy_dataset import Words
 from p2o_datasets.point_fields import PointClock, Unit
 from p2o_datasets.ros_camera import RosCamera, camera_by_name, camera_of_file, camera_of_info
 from p2o_datasets.ros_image import rgb_of
@@ -340,7 +340,8 @@ def _read(entry: tuple[_Source, _MessageRef, _MessageRef]) -> Frame:
         pose = se3.make(source.camera.rotation) @ pose
         warnings += check_direction(cloud, camera, pose, name=f"TF ({options.tf})", where=bag.path)
     extrinsic: dict[str, Any] = {"camera_from_lidar" if options.tf == "truth" else "start": pose}
-    drive = in_drive(bag.name, source.camera_name, (image_ref.stamp_ns - source.first_ns) / _SECOND, None)
+    drive: dict[str, Any] = {"sequence": bag.name, "camera_name": source.camera_name}
+    drive["time_s"] = (image_ref.stamp_ns - source.first_ns) / _SECOND
     notes: dict[str, Any] = {"warnings": warnings, "advice": source.camera.advice, "unused_fields": unused}
     return Frame(name, image, cloud, **notes, **extrinsic, **drive)
 

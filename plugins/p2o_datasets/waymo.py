@@ -21,8 +21,8 @@ from p2o.reading import adjoint, decode_rgb, existing_folder, layout, listing, n
 from p2o_formats.camera_entry import read_camera
 
 from p2o_datasets.cloud_file import cloud_from_fields
-from p2o_datasets.ego_path import moved_cloud
-from p2o_datasets.lazy_dataset import Listed, Words, cameras_field, chosen, finite_number, in_drive, no_sequences
+from p2o_datasets.ego_path import moved_cloud, refuse_jump
+from p2o_datasets.lazy_dataset import Listed, Words, cameras_field, chosen, finite_number, no_sequences, rig_frame
 from p2o_datasets.waymo_parquet import COMPONENTS, ParquetSegment
 from p2o_datasets.waymo_range_image import LENS, SHUTTER, STAMPS, points_of, to_world, uniform_inclinations
 from p2o_datasets.waymo_records import SUFFIX, RecordSegment, segment_name
@@ -135,8 +135,7 @@ def _read(options: WaymoOptions, pair: _Pair) -> Frame:
     extrinsic = _OPTICAL_FROM_CAMERA @ se3.inverse(vehicle_from_camera) @ vehicle_from_lidar
     twist, warnings = adjoint(se3.inverse(vehicle_from_lidar), twist), (*warnings, *cloud_warnings, *remark)
     time_s = (pair.frame_us - pair.first_us) / _PER_SECOND
-    drive = in_drive(segment.name, pair.camera_name, time_s, world_from_lidar)
-    return Frame(pair.name, image, cloud, camera_from_lidar=extrinsic, twist=twist, warnings=warnings, **drive)
+    return rig_frame(pair.name, time_s, image, cloud, extrinsic, world_from_lidar, *warnings, twist=twist)
 
 
 def _of(rows: Mapping[int, Mapping[str, Any]], number: int, name: str, path: Path) -> Mapping[str, Any]:
@@ -198,7 +197,11 @@ def _sweep(
             fault = "poses and ranges have different sizes"
             got = f"{pixel_poses.shape[0]}x{pixel_poses.shape[1]}"
             raise InputError(fault, where=path, expected=f"{pixels.shape[0]}x{pixels.shape[1]} pixels", got=got)
-        world = to_world(se3.apply(vehicle_from_lidar, xyz), pixel_poses[ring, column])
+        pixel_poses = pixel_poses[ring, column]
+        origins = np.tile(np.eye(4), (len(xyz) + 1, 1, 1))
+        origins[:, :3, 3] = [_frame_pose(pair)[:3, 3], *pixel_poses[:, 3:]]
+        refuse_jump(origins, _MAX_EXPOSURE_S, path)
+        world = to_world(se3.apply(vehicle_from_lidar, xyz), pixel_poses)
         xyz = se3.apply(se3.inverse(_frame_pose(pair) @ vehicle_from_lidar), world)
     x, y, z = xyz.T
     fields = {"x": x, "y": y, "z": z, "intensity": pixels[ring, column, 1], "ring": ring}
@@ -213,7 +216,7 @@ def _inclinations(row: Mapping[str, Any], height: int, path: Path) -> Float:
             end: finite_number(row[f"beam_inclination.{end}"], f"{end} inclination", path) for end in ("min", "max")
         }
         values = uniform_inclinations(ends["min"], ends["max"], height)
-    values = np.asarray(values, dtype=np.float64)
+    values = np.asarray(values, dtype=np.float64) if isinstance(values, np.ndarray) else np.array([])
     if values.shape != (height,) or not (np.abs(values) < np.pi / 2).all():
         expected = f"{height} angles in radians"
         got = f"{values.size}, the largest {np.abs(values).max(initial=0):g}"

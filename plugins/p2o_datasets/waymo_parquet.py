@@ -6,13 +6,14 @@ v2/perception/base.py, camera_image.py, context.py, lidar.py, pose.py.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+from p2o import InputError
 
 from p2o_datasets.arrow_file import ParquetTable
 from p2o_datasets.waymo_range_image import LENS, SHUTTER, STAMPS, VELOCITY, grid
@@ -20,6 +21,7 @@ from p2o_datasets.waymo_range_image import LENS, SHUTTER, STAMPS, VELOCITY, grid
 COMPONENTS = ("camera_image", "lidar", "camera_calibration", "lidar_calibration", "lidar_pose", "vehicle_pose")
 _FRAME, _CAMERA, _LASER = (f"key.{name}" for name in ("frame_timestamp_micros", "camera_name", "laser_name"))
 _TOP = 1
+_Value = TypeVar("_Value")
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +79,7 @@ class ParquetSegment:
     @cached_property
     def _frame_rows(self) -> Mapping[int, int]:
         """Rows of vehicle_pose by the time stamps of frames."""
-        return {time: row for row, time in enumerate(self._key("vehicle_pose", _FRAME))}
+        return self._by_key("vehicle_pose", ((time, row) for row, time in enumerate(self._key("vehicle_pose", _FRAME))))
 
     @cached_property
     def _pose_rows(self) -> Mapping[int, int]:
@@ -88,21 +90,29 @@ class ParquetSegment:
         return ParquetTable(self.where(component), f"component {component}")
 
     def _key(self, component: str, key: str) -> list[int]:
-        values: list[int] = self._table(component).columns({key: "number"})[key].tolist()
+        values: list[int] = self._table(component).columns({key: "integer"})[key].tolist()
         return values
 
     def _numbered(self, component: str, key: str, number: int) -> dict[int, int]:
         """Return the rows of one sensor by the time stamps of their frames."""
-        keys = self._table(component).columns({_FRAME: "number", key: "number"})
+        keys = self._table(component).columns({_FRAME: "integer", key: "integer"})
         rows = np.flatnonzero(keys[key] == number)
-        return dict(zip(keys[_FRAME][rows].tolist(), rows.tolist(), strict=True))
+        return self._by_key(component, zip(keys[_FRAME][rows].tolist(), rows.tolist(), strict=True))
+
+    def _by_key(self, component: str, pairs: Iterable[tuple[int, _Value]]) -> dict[int, _Value]:
+        """Return the pairs as a mapping; raises InputError for a frame or sensor with several rows."""
+        found: dict[int, _Value] = {}
+        for key, value in pairs:
+            if key in found:
+                raise InputError("two rows have the same key", where=self.where(component), expected="one", got=key)
+            found[key] = value
+        return found
 
     def _rows(self, component: str, key: str, prefix: str, fields: Sequence[str]) -> Mapping[int, Mapping[str, Any]]:
         table, names = self._table(component), [f"[{prefix}].{name}" for name in fields]
-        return {
-            number: dict(zip(fields, table.row(row, names).values(), strict=True))
-            for row, number in enumerate(self._key(component, key))
-        }
+        keys = enumerate(self._key(component, key))
+        rows = ((number, dict(zip(fields, table.row(row, names).values(), strict=True))) for row, number in keys)
+        return self._by_key(component, rows)
 
     def _grid(self, component: str, row: int, prefix: str, channels: int, where: Path) -> Any:
         names = [f"[{prefix}].range_image_return1.{part}" for part in ("values", "shape")]

@@ -37,10 +37,7 @@ class KittiCalibration:
         remarks: tuple[str, ...] = (
             () if self.ends_line else (f"{self.path}: the last line has no line end: is the file truncated?",)
         )
-        distance = float(np.linalg.norm(extrinsic[:3, 3]))
-        if distance > _FAR_M:
-            remarks += (f"{self.path}: camera and LiDAR are {distance:.3g} m apart: is a number damaged?",)
-        return remarks
+        return remarks + far_apart(self.path, extrinsic)
 
     def numbers(self, key: str, shape: tuple[int, ...]) -> Float:
         """Return the numbers of a key; raises InputError if it is missing, or for another count or invalid numbers."""
@@ -99,6 +96,12 @@ class KittiCalibration:
         return se3.check_rigid(key, matrix, where=self.path)
 
 
+def far_apart(where: object, extrinsic: Float) -> tuple[str, ...]:
+    """Return a remark if camera and LiDAR are implausibly far apart in an extrinsic (4, 4), as in millimetres."""
+    distance = float(np.linalg.norm(extrinsic[:3, 3]))
+    return (f"{where}: camera and LiDAR are {distance:.3g} m apart: is a number damaged?",) * (distance > _FAR_M)
+
+
 def read_calibration(path: Path) -> KittiCalibration:
     """Read the lines of a calibration file; raises InputError if it is missing, empty or of another format."""
     return calibration_of(read_text(path, "calibration file"), path)
@@ -109,10 +112,14 @@ def calibration_of(text: str, path: Path) -> KittiCalibration:
     refuse_cut_off(text, path)
     lines = [line for line in text.splitlines() if line.strip()]
     matches = [_LINE.match(line) for line in lines]
-    pairs = {match[1] or match[2] or "": match[3] for match in matches if match is not None}
+    found = [(match[1] or match[2] or "", match[3].split()) for match in matches if match is not None]
+    pairs = {key: " ".join(words) for key, words in found}
     if not pairs or None in matches:
         got = repr(next((line for line, match in zip(lines, matches, strict=True) if match is None), "")[:60])
         raise InputError("this is not a KITTI calibration file", where=path, expected='lines "key: numbers"', got=got)
+    twice = next((key for key, words in found if pairs[key] != " ".join(words)), None)
+    if twice is not None:
+        raise InputError(f"{twice[:20]} is given twice with different values", where=path, expected="each key once")
     return KittiCalibration(path, pairs, text.endswith(("\n", "\r")))
 
 
@@ -143,10 +150,14 @@ def rectified_camera(projection: Float, width: int, height: int) -> Camera:
 
 
 def check_centre(matrix: Float, width: int, height: int) -> None:
-    """Raise InputError if the principal point of an intrinsic matrix (3, 3) is outside an image of width x height."""
+    """Raise InputError if the principal point of a matrix (3, 3) is outside an image of width x height or at its edge.
+
+    Near the right and lower edges, and in the first third of both sides, the image was resized after the calibration.
+    """
     cx, cy = matrix[0, 2], matrix[1, 2]
-    if not (0 <= cx < width and 0 <= cy < height):
-        expected = f"the principal point ({cx:.0f}, {cy:.0f}) inside the image"
+    share = cx / width, cy / height
+    if not 0 <= min(share) <= max(share) < 0.9 or max(share) < 0.3:
+        expected = f"the principal point ({cx:.0f}, {cy:.0f}) near its centre"
         raise InputError("the image size does not fit the camera", expected=expected, got=f"{width}x{height} px")
 
 

@@ -14,6 +14,9 @@ from .argoverse2_files import BEAMS_DEG, EGO_FROM, FOCAL, LOG, START_NS, Log, me
 from .drive import SPEED_M_S, TURN_RAD_S, car, check_projection, pixels, through
 from .opened import opened, refused
 
+NO_ROWS = dict.fromkeys(("x", "y", "z", "intensity"), np.zeros(0)) | dict.fromkeys(
+    ("intensity", "laser_number", "offset_ns"), np.zeros(0, int)
+)
 dataset = partial(opened, "argoverse2")
 
 
@@ -100,7 +103,13 @@ def test_rings_that_do_not_tell_the_lidar_leave_a_remark(tmp_path: Path) -> None
     [
         ("city_SE3_egovehicle.feather", {"qw": None}, "the table of poses lacks a column; expected qw"),
         ("city_SE3_egovehicle.feather", {"timestamp_ns": ["a"] * 9}, "column timestamp_ns has another type"),
-        ("city_SE3_egovehicle.feather", {"timestamp_ns": range(9)}, "there is no pose of the vehicle near"),
+        (
+            "city_SE3_egovehicle.feather",
+            {"timestamp_ns": range(0, 9 * 10**9, 10**9)},
+            "there is no pose of the vehicle near",
+        ),
+        ("city_SE3_egovehicle.feather", {"timestamp_ns": [np.nan] * 9}, "column timestamp_ns has another type"),
+        ("city_SE3_egovehicle.feather", {"tx_m": [*[0.0] * 8, 1e5]}, "the vehicle jumps between two poses"),
         ("city_SE3_egovehicle.feather", {"qw": [9.0] * 9}, "the pose of row 0 is invalid"),
         ("city_SE3_egovehicle.feather", {"tx_m": [None, *[0.0] * 8]}, "column tx_m has empty cells"),
         ("calibration/egovehicle_SE3_sensor.feather", {"qw": [np.nan] * 4}, "the pose of ring_front_center is invalid"),
@@ -112,6 +121,10 @@ def test_rings_that_do_not_tell_the_lidar_leave_a_remark(tmp_path: Path) -> None
         (f"sensors/lidar/{START_NS}.feather", {"laser_number": None}, "the sweep lacks a column"),
         (f"sensors/lidar/{START_NS}.feather", {"x": [np.nan] * 5760}, "the cloud has no valid point"),
         (f"sensors/lidar/{START_NS}.feather", {"laser_number": [40] * 5760}, "has no points of up_lidar"),
+        (f"sensors/lidar/{START_NS}.feather", {"laser_number": [64] * 5760}, "laser_number is out of range"),
+        (f"sensors/lidar/{START_NS}.feather", {"laser_number": [np.nan] * 5760}, "laser_number has another type"),
+        (f"sensors/lidar/{START_NS}.feather", {"offset_ns": [10**9] * 5760}, "offset_ns is out of range"),
+        (f"sensors/lidar/{START_NS}.feather", NO_ROWS, "has no points of up_lidar"),
     ],
 )
 def test_wrong_tables_are_one_line_that_names_the_file(tmp_path: Path, table: str, change: Any, words: str) -> None:

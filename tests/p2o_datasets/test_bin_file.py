@@ -148,9 +148,16 @@ def test_coordinates_alone_are_not_called_truncated(tmp_path: Path, count: int) 
         read_cloud(path)
     cloud, warnings = read_cloud(path, columns=("x", "y", "z"))
     assert (len(cloud), cloud.intensity, warnings) == (count, None, ())
-    if count % 4:
-        with pytest.raises(InputError, match=r"other columns, or is truncated; .*three numbers \(x y z\) fit"):
-            read_cloud(path, columns=KITTI_COLUMNS)
+    with pytest.raises(InputError, match=r"other columns, or is truncated; .*three numbers \(x y z\) fit"):
+        read_cloud(path, columns=KITTI_COLUMNS)
+
+
+@pytest.mark.filterwarnings("error")
+def test_signalling_nans_are_dropped_without_a_warning_of_numpy(tmp_path: Path) -> None:
+    values = rows(4)
+    values.view("<u4")[0] = 0x7F800001
+    cloud, _ = read_cloud(write(tmp_path / "a.bin", values), columns=KITTI_COLUMNS)
+    assert np.array_equal(cloud.xyz, values[1:, :3])
 
 
 @pytest.mark.parametrize("dtype", ["<f4", "<f8", ">f4"])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from p2o import UnknownNameError, se3
 
-from .kitti_files import PROJECTIONS, R_RECT, VELO_TO_CAM, numbers, write_image, write_lines, write_sweep
+from .kitti_files import HEIGHT, PROJECTIONS, R_RECT, VELO_TO_CAM, WIDTH, numbers, write_image, write_lines, write_sweep
 from .opened import opened, refused
 
 
@@ -72,9 +72,10 @@ def test_missing_files_and_keys_and_wrong_cameras_are_named(tmp_path: Path) -> N
     assert found.names == ("000000",)
     with refused(r"velodyne/000001\.bin is missing"):
         found.frame("000001")
-    write_image(tmp_path / "image_2/000000.png", size=(20, 32))
-    with refused(r"000000\.png: the image size does not fit the camera"):
-        found[0]
+    for size in ((20, 32), (WIDTH // 2, HEIGHT // 2), (2 * WIDTH, 2 * HEIGHT)):
+        write_image(tmp_path / "image_2/000000.png", size=size)
+        with refused(r"000000\.png: the image size does not fit the camera"):
+            found[0]
     write_frame(tmp_path, "000000", P3=numbers(PROJECTIONS[2] + [[0, 0, 0, 9.0], [0] * 4, [0] * 4]))
     write_image(tmp_path / "image_3/000000.png")
     with refused("the right camera is not to the right of the left one"):

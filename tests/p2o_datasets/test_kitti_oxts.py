@@ -35,7 +35,7 @@ def test_a_car_that_noses_down_and_drives_level_climbs_in_its_own_frame(tmp_path
     assert np.allclose(moved[3:], [10 * np.cos(0.1), 0, 10 * np.sin(0.1)])
 
 
-@pytest.mark.parametrize("text", ["1 2 3", "a b c", " ".join(["nan"] * 30)])
+@pytest.mark.parametrize("text", ["1 2 3", "a b c", "1 " * 29, "1 " * 31, " ".join(["nan"] * 30)])
 def test_a_packet_without_its_numbers_is_refused_by_name(tmp_path: Path, text: str) -> None:
     (tmp_path / "0000000003.txt").write_text(text)
     with pytest.raises(InputError, match=r"0000000003\.txt: the oxts packet"):

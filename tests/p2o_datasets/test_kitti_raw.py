@@ -267,7 +267,9 @@ def test_an_extracted_drive_is_paired_by_time(tmp_path: Path) -> None:
     assert found.names == (f"{DAY}/0001/0000000001", f"{DAY}/0001/0000000002")
     assert [np.linalg.norm(frame.cloud.xyz[0, :2]) for frame in found] == pytest.approx([10, 20], rel=1e-4)
     assert [frame.twist[3] for frame in found] == pytest.approx([11, 21])
-    assert list(found.skipped) == [f"{DAY}/0001/0000000000"]
+    [(name, reason)] = found.skipped.items()
+    assert name == f"{DAY}/0001/0000000000"
+    assert "0000000000.png: no sweep within 0.03 s of the image" in reason
 
 
 def test_a_folder_without_frames_says_what_it_should_hold(tmp_path: Path) -> None:

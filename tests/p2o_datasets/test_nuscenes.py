@@ -78,6 +78,10 @@ def test_one_of_several_versions_is_chosen(tmp_path: Path) -> None:
         ("sample_data", "width", 31, "does not fit the camera"),
         ("sample_data", "ego_pose_token", "gone", "refers to a missing record"),
         ("ego_pose", "translation", ["a", 0, 0], "the pose of pose-CAM_FRONT"),
+        ("ego_pose", "translation", [9e4, 0, 0], "the vehicle jumps between two poses"),
+        ("ego_pose", "token", [], "a record has a wrong 'token'"),
+        ("sample_data", "is_key_frame", 1, "a record has a wrong 'is_key_frame'; expected true or false"),
+        ("sample_data", "calibrated_sensor_token", "gone", "refers to a missing record"),
     ],
 )
 def test_records_that_are_wrong_are_one_line_that_names_the_table(
@@ -87,6 +91,13 @@ def test_records_that_are_wrong_are_one_line_that_names_the_table(
     tree.tables[table][0][key] = value
     with refused(words):
         dataset(tree.write()).frame(f"scene-0061/CAM_FRONT/{START_US + 12_000}")
+
+
+def test_a_mounting_in_millimetres_is_remarked(tmp_path: Path) -> None:
+    tree = Tree(tmp_path)
+    tree.tables["calibrated_sensor"][0]["translation"] = [1700, 0, 1500]
+    [remark] = dataset(tree.write())[0].warnings
+    assert "camera and LiDAR are 2.27e+03 m apart" in remark
 
 
 def test_files_outside_of_the_folder_are_refused(tmp_path: Path) -> None:
@@ -129,7 +140,7 @@ def test_a_table_is_read_in_parts(tmp_path: Path) -> None:
         json.dumps([{"token": str(number), "text": "ä" * 1000} for number in range(20_000)], ensure_ascii=False)
     )
     tracemalloc.start()
-    tokens = list(by_token(tmp_path, "ego_pose", lambda record: record["token"].endswith("77")))
+    tokens = list(by_token(tmp_path, "ego_pose", lambda token: token.endswith("77")))
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert tokens == [str(number) for number in range(77, 20_000, 100)]

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from p2o import InputError, se3
+from pyarrow import parquet
 
 from .drive import car, check_projection, through
 from .opened import opened, refused
@@ -112,6 +113,10 @@ def test_the_folder_above_gets_a_hint(tmp_path: Path) -> None:
     ("component", "column", "value", "words"),
     [
         ("camera_calibration", "key.camera_name", 2, "a sensor has no calibration; expected FRONT"),
+        ("camera_calibration", "key.camera_name", 4, "two rows have the same key; expected one; got 4"),
+        ("camera_image", "key.frame_timestamp_micros", START_US + 100_000, "two rows have the same key"),
+        ("vehicle_pose", "key.frame_timestamp_micros", START_US + 100_000, "two rows have the same key"),
+        ("lidar_pose", "range_image_return1.values", [0.0] * (6 * ROWS * COLUMNS), "the vehicle jumps"),
         ("camera_calibration", "intrinsic.f_u", None, "f_u is not a number"),
         ("camera_calibration", "width", 0, "camera.width is out of bounds"),
         ("camera_calibration", "extrinsic.transform", [2.0] * 16, "extrinsic of the camera"),
@@ -147,6 +152,24 @@ def test_a_component_of_another_table_is_one_line_and_only_sweeps_of_top_have_po
         dataset(root)[0]
     path.unlink()
     assert len(dataset(root, lidar="REAR")[0].cloud) > 100
+
+
+@pytest.mark.parametrize(
+    ("component", "column", "value", "words"),
+    [
+        ("lidar_calibration", "beam_inclination.values", "a", "the inclinations do not fit the range image"),
+        ("camera_image", "key.frame_timestamp_micros", float(START_US), "has another type; expected integers"),
+    ],
+)
+def test_columns_of_another_type_are_refused(
+    tmp_path: Path, component: str, column: str, value: Any, words: str
+) -> None:
+    path = Segment(tmp_path).write() / component / f"{SEGMENT}.parquet"
+    table = parquet.read_table(path)
+    place = next(number for number, name in enumerate(table.column_names) if name.endswith(column))
+    parquet.write_table(table.set_column(place, table.column_names[place], [[value] * len(table)]), path)
+    with refused(words, component):
+        dataset(tmp_path)[0]
 
 
 def test_an_image_of_another_size_is_refused(tmp_path: Path) -> None:

@@ -78,6 +78,7 @@ LINE = "Tr: " + " ".join(f"{v:.6e}" for v in (0, -1, 0, 0.02, 0, 0, -1, -0.08, 1
         (Path.mkdir, "the calibration file is a folder"),
         ("no colons here\n1 2 3\n", "this is not a KITTI calibration file"),
         ("  \n\n", "this is not a KITTI calibration file"),
+        (f"{LINE}\n{LINE[:-1]}8\n", "Tr is given twice with different values"),
         *((LINE[:-cut], "the file is truncated") for cut in (1, 4, 5, 9)),
     ],
 )
