@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from p2o.files.input_file import read_start as read_start, read_text as read_text
     from p2o.files.parsed_text import parse_json as parse_json, parse_yaml as parse_yaml
     from p2o.files.whole_file import write_whole as write_whole
-    from p2o.frames.direction import check_direction as check_direction
+    from p2o.frames.direction import check_direction as check_direction, unit_remark as unit_remark
     from p2o.frames.image_file import MAX_PIXELS as MAX_PIXELS, decode_rgb as decode_rgb, read_rgb as read_rgb
     from p2o.frames.image_file import eight_bit as eight_bit, read_uint16 as read_uint16
     from p2o.frames.frame import LazyFrames as LazyFrames

@@ -84,8 +84,7 @@ def command(
 
 def _described(calibration: Calibration, chosen: Format, options: Options, source: str, target: str) -> str:
     """Return a description of the written file, in lines."""
-    from p2o.frames.direction import unit_remark
-    from p2o.reading import CAMERA, EXTRINSIC
+    from p2o.reading import CAMERA, EXTRINSIC, unit_remark
 
     lines = [f"{target}: {chosen.name}, {chosen.summary}"]
     stored = chosen.holds & calibration.parts
