@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 # The same examples each time, no files of them, and no stopwatch.
-hypothesis.settings.register_profile("fixed", derandomize=True, database=None, deadline=None, max_examples=200)
+hypothesis.settings.register_profile("fixed", derandomize=True, database=None, deadline=None, max_examples=100)
 hypothesis.settings.load_profile("fixed")
 
 # Who starts tests in the background (nohup, a shell without jobs) has these ignored, and so would every command that a
