@@ -471,7 +471,6 @@ def test_stderr_is_silent_where_it_is_no_terminal() -> None:
 
 def test_a_closed_pipe_is_no_error() -> None:
     for words, line in (
-        ("methods", "methods (p"),
         ("data list 'synthetic:?scenes=20000'", "scene-"),
         ("doctor --quick --json", "{"),
     ):

@@ -113,6 +113,10 @@ NOT_EXECUTED = {
 """Python that is compiled, and its names of p2o looked up."""
 
 
+RUN_BEFORE: set[str] = set()
+"""Lines that were run on another page and write nothing that later lines read: each is run once."""
+
+
 class Reached(KeyboardInterrupt):
     """A command has come to where it would read its first frame."""
 
@@ -178,6 +182,8 @@ def _run(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
         text = re.sub(pattern, less, text)
     smaller = Command(command.page, command.line, text)
     program, *words = smaller.words
+    if text in RUN_BEFORE:
+        return
     if program == "p2o":
         if words[0] == "simulate":
             words.append("--force")
@@ -188,6 +194,8 @@ def _run(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
         assert "Traceback" not in said.err, command
         if command.target is not None:
             Path(command.target).write_text(said.out)
+        elif words[0] != "simulate":
+            RUN_BEFORE.add(text)
     elif program == "jq":
         _query(command)
     else:
