@@ -57,6 +57,17 @@ SYSTEM = {
 """Files of system tests: fuzzing, killed processes, browsers, lines of the docs, distributions, long studies."""
 
 
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Do not import files without a test that `make test` or `make test-system` runs: all take half a minute."""
+    kind = config.option.markexpr
+    if kind not in ("system", "not system") or not collection_path.match("test_*.py"):
+        return None
+    system = collection_path.relative_to(Path(__file__).parents[1]).as_posix() in SYSTEM
+    if kind == "not system":
+        return system or None
+    return None if system or "mark.system" in collection_path.read_text(encoding="utf-8") else True
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark the tests of `SYSTEM`, which `make test-system` runs; `make test` runs all others."""
     root = Path(__file__).parents[1]
