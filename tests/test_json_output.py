@@ -18,7 +18,8 @@ from p2o.cli.json_output import print_json, reserved_stdout
 from tests.noisy_plugin import NOISE
 
 PLUGIN = Path(__file__).with_name("noisy_plugin.py")
-RUN = ("run", "synthetic:?scenes=1&width_px=320&height_px=120", "--calibrator", "noisy", "--witness", "none")
+DATA = "synthetic:?scenes=1&width_px=64&height_px=64&lidar=vlp-16&right=false"
+RUN = ("run", DATA, "--calibrator", "noisy", "--witness", "none")
 
 
 def p2o(*words: str, mode: str = "") -> subprocess.CompletedProcess[str]:

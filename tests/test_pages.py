@@ -99,6 +99,7 @@ SMALLER = (
     (r"^p2o run( +#.*)?$", 'p2o run --data "synthetic:?width_px=320&height_px=120"'),
     (r"\bscenes=\d+", "scenes=1"),
     (r"--frames 2 ", ""),
+    (r"^p2o doctor$", "p2o doctor --quick"),  # tests/test_doctor_command.py
     (r"&megapixels=1\b", "&megapixels=0.1"),
     (r"^(p2o run (?!.*--export-anyway).*--export .*)$", r"\1 --export-anyway"),  # small frames are doubtful
     (r"^(p2o simulate .*)$", r"\1 --set width_px=320 --set height_px=120"),
