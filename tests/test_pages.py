@@ -83,12 +83,12 @@ ONLY_CHECKED = (
     (r"--data DATA | COMMAND$| \.\.\.$", "it leaves words to the reader"),
     (r"^p2o train learned-steps|--set extractor\.weights=trained/", "tests/test_example_plugin.py, on whole frames"),
     (r"--watch", "minutes: more frames than 20"),
+    (r"--init far", "half a minute; tests/toolkit/run/test_wide_search.py"),
     (r"^p2o plugin check", "tests/test_example_plugin.py, on the same file"),
 )
 """What stands on lines that are not run, and why."""
 
 SMALLER = (
-    (r"^(p2o run --data folder:PATH\b)(.*--init far)", r"\1 --frames 0\2"),
     (r"^(p2o run --data folder:PATH)(?! --frames)", r"\1 --frames 0-1"),
     (r"folder:PATH", "kitti-raw:PATH"),  # frames of any layout
     (r"--frames 0,40\b", "--frames 0,4"),
