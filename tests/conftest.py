@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 # The same examples each time, no files of them, and no stopwatch.
-hypothesis.settings.register_profile("fixed", derandomize=True, database=None, deadline=None, max_examples=200)
+hypothesis.settings.register_profile("fixed", derandomize=True, database=None, deadline=None, max_examples=100)
 hypothesis.settings.load_profile("fixed")
 
 # Who starts tests in the background (nohup, a shell without jobs) has these ignored, and so would every command that a
@@ -55,6 +55,17 @@ SYSTEM = {
     "tests/test_view_page.py",
 }
 """Files of system tests: fuzzing, killed processes, browsers, lines of the docs, distributions, long studies."""
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Do not import files without a test that `make test` or `make test-system` runs: all take half a minute."""
+    kind = config.option.markexpr
+    if kind not in ("system", "not system") or not collection_path.match("test_*.py"):
+        return None
+    system = collection_path.relative_to(Path(__file__).parents[1]).as_posix() in SYSTEM
+    if kind == "not system":
+        return system or None
+    return None if system or "mark.system" in collection_path.read_text(encoding="utf-8") else True
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

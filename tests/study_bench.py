@@ -70,10 +70,12 @@ class Bench:
         command = [sys.executable, "-m", "p2o", *self.words(text, *words)]
         return subprocess.run(command, capture_output=True, text=True, check=False, env=environ, **options)
 
-    def started(self, text: str, rows: int, *words: str) -> subprocess.Popen[str]:
+    def started(
+        self, text: str, rows: int, *words: str, python: Sequence[str] = ("-m", "p2o")
+    ) -> subprocess.Popen[str]:
         """Start the command in a session of its own, and return when this number of rows is there."""
         process = subprocess.Popen(
-            [sys.executable, "-m", "p2o", *self.words(text, "--quiet", *words)],
+            [sys.executable, *python, *self.words(text, "--quiet", *words)],
             env={**os.environ, "P2O_CACHE": str(self.root / "cache")},
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,

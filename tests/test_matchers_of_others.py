@@ -12,7 +12,7 @@ from p2o_testing.new_plugin import NewPlugin
 
 from tests.pages import python_blocks
 
-STREETS = "synthetic:?scenes=4&seed=9&place=street&right=false&width_px=621&height_px=188"
+STREETS = "synthetic:?scenes=4&seed=9&place=street&right=false&width_px=512&height_px=156"
 HOOK = """
 
 @p2o.hookimpl

@@ -83,12 +83,12 @@ ONLY_CHECKED = (
     (r"--data DATA | COMMAND$| \.\.\.$", "it leaves words to the reader"),
     (r"^p2o train learned-steps|--set extractor\.weights=trained/", "tests/test_example_plugin.py, on whole frames"),
     (r"--watch", "minutes: more frames than 20"),
+    (r"--init far", "half a minute; tests/toolkit/run/test_wide_search.py"),
     (r"^p2o plugin check", "tests/test_example_plugin.py, on the same file"),
 )
 """What stands on lines that are not run, and why."""
 
 SMALLER = (
-    (r"^(p2o run --data folder:PATH\b)(.*--init far)", r"\1 --frames 0\2"),
     (r"^(p2o run --data folder:PATH)(?! --frames)", r"\1 --frames 0-1"),
     (r"folder:PATH", "kitti-raw:PATH"),  # frames of any layout
     (r"--frames 0,40\b", "--frames 0,4"),
@@ -99,6 +99,7 @@ SMALLER = (
     (r"^p2o run( +#.*)?$", 'p2o run --data "synthetic:?width_px=320&height_px=120"'),
     (r"\bscenes=\d+", "scenes=1"),
     (r"--frames 2 ", ""),
+    (r"^p2o doctor$", "p2o doctor --quick"),  # tests/test_doctor_command.py
     (r"&megapixels=1\b", "&megapixels=0.1"),
     (r"^(p2o run (?!.*--export-anyway).*--export .*)$", r"\1 --export-anyway"),  # small frames are doubtful
     (r"^(p2o simulate .*)$", r"\1 --set width_px=320 --set height_px=120"),
@@ -111,6 +112,10 @@ NOT_EXECUTED = {
     'conformance_cases("my-distribution")': "there is no such distribution",
 }
 """Python that is compiled, and its names of p2o looked up."""
+
+
+RUN_BEFORE: set[str] = set()
+"""Lines that were run on another page and write nothing that later lines read: each is run once."""
 
 
 class Reached(KeyboardInterrupt):
@@ -178,6 +183,8 @@ def _run(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
         text = re.sub(pattern, less, text)
     smaller = Command(command.page, command.line, text)
     program, *words = smaller.words
+    if text in RUN_BEFORE:
+        return
     if program == "p2o":
         if words[0] == "simulate":
             words.append("--force")
@@ -188,6 +195,8 @@ def _run(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
         assert "Traceback" not in said.err, command
         if command.target is not None:
             Path(command.target).write_text(said.out)
+        elif words[0] != "simulate":
+            RUN_BEFORE.add(text)
     elif program == "jq":
         _query(command)
     else:

@@ -8,19 +8,19 @@ import numpy as np
 import p2o
 
 # Drives that the default weights were not trained on.
-STANDING = tuple(f"0018/{number:010d}" for number in (46, 66, 76, 86, 96, 106, 133))
-FAST = tuple(f"0028/{number:010d}" for number in (71, 118, 228, 269, 284, 303, 313, 378))
+STANDING = tuple(f"0018/{number:010d}" for number in (46, 76, 96, 106, 133))
+FAST = tuple(f"0028/{number:010d}" for number in (71, 228, 284, 303, 378))
 
 
 def test_errors_are_within_the_predicted_bounds_and_joint_results_have_smaller_ones(kitti_raw: Path) -> None:
     data = f"kitti-raw:{kitti_raw}?right=false&depth=false"
     singles = p2o.calibrate(data, frames=",".join(STANDING + FAST), perturb="2deg 0.15m", seed=3)
     told = [(row.result.accuracy, row.error) for row in singles.rows if row.result.accuracy is not None]
-    assert len(told) >= 13
+    assert len(told) >= 9
     both = [(a, e) for a, e in told if e is not None]
-    # 19 of 20 should be; 15 calibrations may have bad luck.
-    assert sum(e.rotation_deg < a.rotation_deg_95 for a, e in both) >= 12
-    assert sum(e.translation_m < a.translation_m_95 for a, e in both) >= 12
+    # 19 of 20 should be; 10 calibrations may have bad luck.
+    assert sum(e.rotation_deg < a.rotation_deg_95 for a, e in both) >= 8
+    assert sum(e.translation_m < a.translation_m_95 for a, e in both) >= 8
     bounds = {row.result.frames[0]: row.result.accuracy for row in singles.rows if row.result.accuracy is not None}
     single_error = np.median([e.translation_m for _, e in both])
     for frames in (STANDING, FAST):

@@ -1,4 +1,7 @@
-"""A few kills of a small study and a small fleet; the long form is `python benchmarks/kills.py study --kills 100`."""
+"""A few kills of a small fleet; the long form is `python benchmarks/kills.py fleet --kills 100`.
+
+Killed studies: tests/p2o_study/test_ablate.py and test_trouble.py.
+"""
 
 from __future__ import annotations
 
@@ -15,16 +18,6 @@ from p2o_study.rows import Rows
 from tests.fake_study import run_of
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "killpg"), reason="needs signals to groups of processes")
-
-
-def test_a_study_that_is_killed_loses_no_finished_row_and_changes_no_bit(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delenv("P2O_PLUGINS", raising=False)
-    tally = campaign(StudyOfStreets(tmp_path, scenes=1, seeds=3), 5, 4, tmp_path)
-    assert tally.broken == []
-    assert tally.kills.total() == 5
-    assert tally.count == 9
 
 
 def test_a_row_that_differs_in_the_last_digit_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.real
 def test_every_sweep_of_kitti_is_told_by_its_values_to_have_four_columns(real_data: Path) -> None:
     paths = sorted(real_data.rglob("*.bin"))
     assert len(paths) > 10
-    for path in paths:
+    for path in paths[::3]:
         assert columns_of(np.fromfile(path, "<f4"), path) == KNOWN[4], path
 
 
@@ -26,8 +26,10 @@ def test_every_sweep_of_kitti_is_told_by_its_values_to_have_four_columns(real_da
 def test_sweeps_of_other_rigs_are_told_by_their_values_in_any_order(
     real_data: Path, columns: int, full_scale: int
 ) -> None:
+    """Each combination on every fifth sweep, each with another first one: most sweeps are in some combination."""
     rng = np.random.default_rng(0)
-    for path in sorted(real_data.glob("rigs/*/*/cloud.npz")):
+    paths = sorted(real_data.glob("rigs/*/*/cloud.npz"))
+    for path in paths[(columns + (full_scale > 1)) % 5 :: 5]:
         cloud, _ = read_cloud(path)
         ring = rng.integers(0, 32, len(cloud)) if cloud.ring is None else cloud.ring
         intensity = rng.random(len(cloud)) if cloud.intensity is None else cloud.intensity / cloud.intensity.max()
@@ -42,7 +44,7 @@ def test_sweeps_of_other_rigs_are_told_by_their_values_in_any_order(
 def test_no_real_picture_is_called_damaged_and_all_have_the_pixels_that_opencv_finds(real_data: Path) -> None:
     paths = sorted(path for suffix in ("jpg", "png") for path in real_data.rglob(f"*.{suffix}"))
     assert len(paths) > 10
-    for path in paths:
+    for path in paths[::3]:
         wanted = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
         if wanted.dtype == np.uint16:
             assert np.array_equal(np.nan_to_num(read_uint16(path, "disparity")), wanted / 256), path

@@ -11,7 +11,7 @@ from p2o.run.assembly import Assembly, given
 from p2o.run.read_again import FrameInfo
 from p2o_study.worker import with_cost_of_truth
 
-DATA = "synthetic:?scenes=1&width_px=310&height_px=94&place=yard&right=false&lidar=hdl-32e"
+DATA = "synthetic:?scenes=1&width_px=192&height_px=64&place=yard&right=false&lidar=vlp-16"
 
 
 def calibrated(**words: str) -> tuple[Assembly, p2o.Frame, list[FrameInfo], list[dict[str, object]], p2o.Result]:

@@ -20,7 +20,7 @@ def rendered(place: str, seed: int) -> RenderedImage:
     return render(scene, CAMERA, WORLD_FROM_CAMERA)
 
 
-@pytest.mark.parametrize("seed", [*range(2), *(pytest.param(n, marks=pytest.mark.system) for n in range(2, 10))])
+@pytest.mark.parametrize("seed", [*range(2), *(pytest.param(n, marks=pytest.mark.system) for n in (2, 5, 8))])
 @pytest.mark.parametrize("place", USUAL)
 def test_every_frame_has_tens_of_hard_edges_in_all_four_directions(place: str, seed: int) -> None:
     _, side = occlusion.edges_from_orders(labels(rendered(place, seed), CAMERA, mask_foliage=True))
@@ -53,7 +53,7 @@ def test_the_same_seed_gives_the_same_place_and_another_seed_another(place: str)
 
 def test_trees_and_streets_show_what_their_names_say() -> None:
     def shares(place: str) -> dict[Class, float]:
-        classes = np.stack([rendered(place, seed).classes for seed in range(3)])
+        classes = np.stack([rendered(place, seed).classes for seed in range(2)])
         return {kind: float((classes == kind).mean()) for kind in Class}
 
     trees, street = shares("trees"), shares("street")

@@ -44,7 +44,7 @@ def pipeline() -> Pipeline:
 
 @pytest.fixture(scope="module")
 def views() -> list[p2o.View]:
-    return [edge_scene.view(boxes=60, seed=seed, noise_px=0.3, name=f"{seed}") for seed in (1, 2)]
+    return [edge_scene.view(boxes=40, seed=seed, noise_px=0.3, name=f"{seed}") for seed in (1, 2)]
 
 
 def checked(views: list[p2o.View], pose: np.ndarray, pipeline: Pipeline) -> Check:

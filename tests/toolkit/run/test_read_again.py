@@ -53,7 +53,7 @@ def _quick_collection() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def frames() -> list[Frame]:
-    dataset = open_dataset("synthetic:?scenes=6&width_px=621&height_px=188&right=false", p2o.Registry.load())
+    dataset = open_dataset("synthetic:?scenes=6&width_px=414&height_px=125&right=false", p2o.Registry.load())
     return [dataset[number] for number in range(6)]
 
 

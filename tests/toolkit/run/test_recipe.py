@@ -367,16 +367,15 @@ def test_a_start_may_be_given_in_python_but_not_with_a_perturbation() -> None:
 
 def test_the_order_of_the_chosen_frames_does_not_change_a_joint_calibration() -> None:
     words: dict[str, Any] = {
-        "data": "synthetic:?frames_per_scene=3&width_px=621&height_px=188&right=false",
+        "data": "synthetic:?frames_per_scene=3&width_px=414&height_px=125&right=false",
         "extractor": "depth/rings",
         "perturb": "1deg 0.05m",
     }
-    first, *others = (
-        p2o.calibrate(frames=frames, joint=True, witness="none", **words).result for frames in ("0-2", "2,0,1", "1,2,0")
+    first, other = (
+        p2o.calibrate(frames=frames, joint=True, witness="none", **words).result for frames in ("0-2", "2,0,1")
     )
-    for other in others:
-        assert other.frames == first.frames
-        assert other.camera_from_lidar.tobytes() == first.camera_from_lidar.tobytes()
+    assert other.frames == first.frames
+    assert other.camera_from_lidar.tobytes() == first.camera_from_lidar.tobytes()
 
 
 class Unnamed:

@@ -12,7 +12,7 @@ from p2o.results.result import DIRECTED, INTERVALS
 )
 def test_a_simulated_sweep_is_calibrated_by_the_measure_of_its_rings(lidar: str, judge: str) -> None:
     done = p2o.calibrate(
-        f"synthetic:?scenes=3&place=street&right=false&seed=3&lidar={lidar}",
+        f"synthetic:?scenes=3&place=street&right=false&seed=3&lidar={lidar}&width_px=828&height_px=250",
         joint=True,
         perturb="2deg 0.15m",
         extractor="depth/rings",

@@ -23,7 +23,7 @@ ROUGH = se3.make(edge_scene.AXES, np.zeros(3))
 def solved(begin: np.ndarray, /, **words: str) -> Result:
     assembly = Recipe.of(data=None, **words).resolve(p2o.Registry.load()).assembly()
     assert isinstance(assembly.calibrator, Pipeline)
-    view = edge_scene.view(truth=TRUTH, boxes=60, seed=4, noise_px=0.3)
+    view = edge_scene.view(truth=TRUTH, boxes=30, seed=4, noise_px=0.3)
     pieces = {"extractor": view.image, "cloud": view.cloud}
     return assembly.calibrated([FrameInfo("frame", view.camera)], [pieces], begin)
 
