@@ -77,7 +77,7 @@ def test_the_commands_of_the_compose_file_exist_and_belong_together() -> None:
     assert start.split()[-1].partition("=")[0] in services
     words = ["drives.csv" if word == "..." else word for word in client.split()[3:]]
     assert client.startswith("p2o fleet run ")
-    assert run.make_context("run", words).params["scheduler"] == f"tcp://localhost:{port}"
+    assert run.make_context("run", words).params["address"] == f"tcp://localhost:{port}"
 
 
 def test_the_lines_of_the_page_run(
@@ -144,7 +144,9 @@ def test_a_dask_cluster_that_loses_a_worker_and_its_scheduler_loses_no_check(
     address, (scheduler, first, _) = cluster
     table, store = write_drives(tmp_path / "drives", 40), tmp_path / "store"
     command = [sys.executable, "-m", "p2o", "fleet", "run", str(table), "--store", str(store), *QUICK]
-    process = subprocess.Popen([*command, "--scheduler", address], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process = subprocess.Popen(
+        [*command, "--backend", "dask", "--address", address], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
     _until(process, store, 5)
     os.killpg(first.pid, signal.SIGKILL)
     _until(process, store, 15)

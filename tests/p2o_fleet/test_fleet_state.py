@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -113,16 +114,16 @@ def test_a_wrong_nominal_extrinsic_shows_on_the_type_and_marks_the_alarms_of_its
 
 
 def test_a_drift_with_temperature_is_no_slip(tmp_path: Path) -> None:
-    store = Store(tmp_path)
+    store, without = Store(tmp_path / "known"), Store(tmp_path / "unknown")
     for number in range(8):
         # The temperature rises during the second half of the checks, as in spring.
         temperature = np.concatenate([np.zeros(30), np.full(30, 25.0)]) + number
-        rows = []
-        for at, error in enumerate(noise(number, 60)):
-            size = error + np.eye(6)[1] * 0.01 * temperature[at]
-            rows.append(evidence(drive(f"van-{number}", at, temperature_c=float(temperature[at])), size).row())
-        store.add(rows)
-    assert fleet_state(store, FleetRules(trends=False)).alarms
+        sizes = noise(number, 60) + np.outer(0.01 * temperature, np.eye(6)[1])
+        known = [drive(f"van-{number}", at, temperature_c=float(degrees)) for at, degrees in enumerate(temperature)]
+        store.add(evidence(one, size).row() for one, size in zip(known, sizes, strict=True))
+        unknown = (replace(one, temperature_c=None) for one in known)
+        without.add(evidence(one, size).row() for one, size in zip(unknown, sizes, strict=True))
+    assert fleet_state(without).alarms
     state = fleet_state(store)
     assert not state.alarms
     [own] = state.types

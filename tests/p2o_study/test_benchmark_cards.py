@@ -1,4 +1,4 @@
-"""Cards of data: every data set of a suite has one, pages equal them, and frames are verified by their digests."""
+"""Cards of data: every data set of a suite has one, and pages equal them."""
 
 from __future__ import annotations
 
@@ -57,26 +57,14 @@ def test_every_data_set_of_a_suite_has_one_card(name: str) -> None:
         assert set(table.split) <= set(cards[owners[0]].lists)
 
 
-def test_cards_have_the_digests_of_exactly_the_frames_of_their_lists() -> None:
-    splits = json.loads((SUITES / "splits.json").read_text())
-    cards = read_cards(ROOT / FOLDER)
-    for name, card in cards.items():
-        assert set(card.digests) == {frame for label in card.lists for frame in splits.get(label, ())}, name
+def test_every_list_of_frames_has_a_card() -> None:
+    splits, cards = json.loads((SUITES / "splits.json").read_text()), read_cards(ROOT / FOLDER)
     assert set(splits) <= {label for card in cards.values() for label in card.lists}
 
 
 def test_the_page_of_cards_equals_the_cards() -> None:
     page = (ROOT / "docs/data-cards.md").read_text(encoding="utf-8")
     assert page.endswith(f"<!-- cards -->\n{cards_text(read_cards(ROOT / FOLDER), page=True)}<!-- /cards -->\n")
-
-
-@pytest.mark.real
-def test_the_frames_of_this_machine_are_those_of_their_card(
-    real_data: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    data = f"kitti-object:{real_data / 'kitti_object'}"
-    assert command("kitti-object", "--cards", str(ROOT / FOLDER), "--digest", data) == 0
-    assert "5 of 5 frames as in the card kitti-object" in capsys.readouterr().out
 
 
 # ---- suites
@@ -109,48 +97,11 @@ def test_every_suite_is_planned_without_data(name: str, tmp_path: Path) -> None:
 # ---- the command
 
 
-def test_digests_are_printed_for_a_card_and_verified_after_they_are_in_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    cards = folder(tmp_path)
-    assert command("tiny", "--cards", cards, "--digest", "tiny:?frames=3") == 0
-    *lines, last = capsys.readouterr().out.splitlines()
-    assert last == "no digests in the card tiny"
-    folder(tmp_path, CARD + "\n".join(lines) + "\n")
-    assert command("tiny", "--cards", cards, "--digest", "tiny:?frames=3") == 0
-    assert capsys.readouterr().out.splitlines() == [*lines, "3 of 3 frames as in the card tiny"]
-
-
-def test_a_changed_digest_is_reported_with_the_name_of_the_frame(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    cards = folder(tmp_path)
-    command("tiny", "--cards", cards, "--digest", "tiny:?frames=3")
-    lines = capsys.readouterr().out.splitlines()[:-1]
-    lines[2] = f'{lines[2][:-5]}0000"'
-    folder(tmp_path, CARD + "\n".join(lines) + "\n")
-    assert command("tiny", "--cards", cards, "--digest", "tiny:?frames=3") == 1
-    out = capsys.readouterr().out
-    assert "tiny/001: image, sweep, calibration or ground truth differs from the card\n" in out
-    assert "2 of 3 frames as in the card tiny" in out
-    assert command("tiny", "--cards", cards, "--digest", "tiny:?frames=4", "--frames", "3") == 1
-    assert "tiny/003: the card has no digest of this frame" in capsys.readouterr().out
-
-
-def test_a_frame_of_the_card_that_is_not_in_the_data_is_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    cards = folder(tmp_path, CARD + f'digests: {{"tiny/007": "{"0" * 64}"}}\n')
-    assert command("tiny", "--cards", cards, "--digest", "tiny:?frames=3") == 2
-    assert "unknown frame 'tiny/007'" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         (CARD.replace("truth: exact\n", ""), "tiny.yaml: truth is missing"),
         (CARD + "accuracy: good\n", "tiny.yaml: unknown key 'accuracy'"),
-        (CARD + 'digests: {"tiny/000": abc}\n', "tiny.yaml: digests"),
         ("- a list\n", "tiny.yaml: the card is not valid; expected keys with values"),
     ],
 )

@@ -68,14 +68,13 @@ class FleetRules:
 
     `rate` is the false discovery rate of alarms. `tolerance` is the constant error that counts as correct,
     `type_tolerance` that of the mean of a vehicle type; `notice` is the error that must be observable, or else the
-    state is unknown. `trends` enables the covariates temperature and time of day.
+    state is unknown.
     """
 
     rate: float = 0.01
     tolerance: str = "0.2deg 3cm"
     type_tolerance: str = "0.03deg 1cm"
     notice: str = "0.5deg 5cm"
-    trends: bool = True
 
     def __post_init__(self) -> None:
         if not 0 < self.rate < 1:
@@ -236,7 +235,7 @@ def fleet_state(
     jobs = [_VehiclesJob(store, names[n : n + _PER_JOB], rules, now) for n in range(0, len(names), _PER_JOB)]
     with (workers or Workers()).start() as run:
         with contextlib.closing(run(_sampled, jobs, _lost)) as samples:
-            noise = estimate_noise(samples, tuple(rules.sizes("tolerance").tolist()), trends=rules.trends)
+            noise = estimate_noise(samples, tuple(rules.sizes("tolerance").tolist()))
         jobs = [replace(job, noise=noise) for job in jobs]
         with contextlib.closing(run(_evaluated, jobs, _lost)) as results:
             every = sorted((one for own in results for one in own), key=lambda one: one[0])

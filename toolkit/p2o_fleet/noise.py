@@ -75,13 +75,13 @@ def sampled(store: Store, vehicles: Sequence[str], now: float) -> Samples:
     return samples
 
 
-def estimate_noise(samples: Iterable[Samples], tolerance: tuple[float, ...], *, trends: bool) -> dict[Pair, PairNoise]:
+def estimate_noise(samples: Iterable[Samples], tolerance: tuple[float, ...]) -> dict[Pair, PairNoise]:
     """Estimate noise and trends of each type and pair of sensors from sampled checks of all vehicles."""
     every: Samples = {}
     for part in samples:
         for pair, own in part.items():
             every.setdefault(pair, []).extend(own)
-    return {pair: _pair_noise(own, tolerance, trends=trends) for pair, own in every.items()}
+    return {pair: _pair_noise(own, tolerance) for pair, own in every.items()}
 
 
 def covariates_of(checks: Checks) -> Float:
@@ -90,14 +90,14 @@ def covariates_of(checks: Checks) -> Float:
     return np.column_stack([checks.temperature_c, np.sin(angle), np.cos(angle)])
 
 
-def _pair_noise(samples: Sequence[Sample], tolerance: tuple[float, ...], *, trends: bool) -> PairNoise:
+def _pair_noise(samples: Sequence[Sample], tolerance: tuple[float, ...]) -> PairNoise:
     model = NoiseModel(noise_scale([sample.deviations for sample in samples]), tolerance)
     every = np.concatenate([sample.covariates for sample in samples])
     known = np.isfinite(every).mean(axis=0) > 0.5
     columns = [
         number for number in np.flatnonzero(known) if np.nanmax(every[:, number]) - np.nanmin(every[:, number]) > 0.2
     ]
-    if not trends or not columns or len(samples) < _MIN_VEHICLES:
+    if not columns or len(samples) < _MIN_VEHICLES:
         return PairNoise(model)
     parts = [
         (error[rows], sigma[rows] * np.array(model.scale), values[rows][:, columns])

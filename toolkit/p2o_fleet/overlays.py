@@ -16,21 +16,20 @@ from p2o.run.recipe import open_dataset
 from p2o_fleet.fetch import local_data
 from p2o_fleet.fleet_state import ExtrinsicState
 
-_FRAMES = 2
+_FRAMES, _MOST = 2, 20
 
 
 @dataclass
 class Overlays:
-    """Draws overlays of up to `most` alarms whose logs this machine can read; counts those drawn."""
+    """Draws overlays of up to 20 alarms whose logs this machine can read; counts those drawn."""
 
     registry: Registry
-    most: int
     drawn: int = 0
 
     def of(self, state: ExtrinsicState) -> list[dict[str, str]]:
         """Return frames of the last log of an alarm, as data URIs in use and proposed; empty without a log."""
         alarm = state.alarm
-        if alarm is None or not alarm.proof or self.drawn >= self.most:
+        if alarm is None or not alarm.proof or self.drawn >= _MOST:
             return []
         try:
             with local_data(alarm.proof[-1]) as data:

@@ -6,7 +6,6 @@ explains each key.
 
 from __future__ import annotations
 
-import importlib.resources
 import itertools
 import math
 import string
@@ -14,7 +13,6 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import date, time
-from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn, Self
 
@@ -562,54 +560,36 @@ def _methods(values: Mapping[tuple[str, ...], Any]) -> dict[str, str]:
 
 
 def find_study(word: str, registry: Registry) -> Study:
-    """Return the study of a path, or of the name of a study that a loaded plugin ships.
+    """Return the study of a path, or of the name of a study that a loaded plugin ships in its folder `studies`.
 
-    A plugin ships studies in the folder `studies` of its package; NAME@DISTRIBUTION selects one of several with the
-    same name. A word that ends in .toml or contains a slash is a path.
-
-    Raises UnknownNameError for an unknown name, InputError for a file that cannot be read or an ambiguous name, and
-    as `parse_study`.
+    Raises UnknownNameError for an unknown name, InputError for a file that cannot be read, and as `parse_study`.
     """
-    path = expanded(word)
-    if word.endswith(".toml") or "/" in word or "\\" in word:
-        if not path.exists():
-            raise InputError("the study file is missing", where=word, expected="a TOML file, or the name of a study")
-        return _read(path, registry)
-    name, at, dist = word.partition("@")
-    shipped = shipped_studies(registry)
-    matches = [(owner, file) for owner, file in shipped.get(name, []) if not at or owner == dist]
-    if not matches:
-        raise UnknownNameError("study", word, shipped, hint="or give the path of a TOML file")
-    if len(matches) > 1:
-        raise InputError(
-            f"study '{name}' is shipped by several plugins: {' and '.join(owner for owner, _ in matches)}",
-            hint="write " + " or ".join(f"{name}@{owner}" for owner, _ in matches),
-        )
-    return _read(matches[0][1], registry)
+    path = named_file(word, shipped_toml(registry, FOLDER), "study")
+    return parse_study(read_text(path, "study file"), str(path)).with_methods(registry)
+
+
+def shipped_toml(registry: Registry, folder: str) -> dict[str, Path]:
+    """Return the TOML files in `folder` of the packages of loaded plugins by name, sorted.
+
+    Files of several distributions with one name are NAME@DISTRIBUTION.
+    """
+    files = [(Path(str(file)), dist) for dist, file in shipped_files(registry, folder) if file.name.endswith(".toml")]
+    counts = Counter(path.stem for path, _ in files)
+    return {
+        p.stem if counts[p.stem] == 1 else f"{p.stem}@{dist}": p for p, dist in sorted(files, key=lambda f: f[0].stem)
+    }
 
 
 def named_file(word: str, known: Mapping[str, Path], kind: str, folder: str | Path | None = None) -> Path:
-    """Return the path of a TOML file, or the known file of a name; raises UnknownNameError for an unknown one."""
-    if word.endswith(".toml"):
+    """Return the known file of a name, or the path of a TOML file: a word that ends in .toml or contains a slash.
+
+    Raises UnknownNameError for an unknown name.
+    """
+    if word.endswith(".toml") or "/" in word or "\\" in word:
         return expanded(word)
     if word not in known:
         raise UnknownNameError(kind, word, known, where=folder, hint="or give the path of a TOML file")
     return known[word]
-
-
-def _read(file: Traversable | Path, registry: Registry) -> Study:
-    with importlib.resources.as_file(file) as path:
-        text = read_text(path, "study file")
-    return parse_study(text, str(file)).with_methods(registry)
-
-
-def shipped_studies(registry: Registry) -> dict[str, list[tuple[str, Traversable]]]:
-    """Return the study files of loaded plugins by name, each with the distribution that ships it."""
-    studies: dict[str, list[tuple[str, Traversable]]] = {}
-    for dist, file in shipped_files(registry, FOLDER):
-        if file.name.endswith(".toml"):
-            studies.setdefault(file.name.removesuffix(".toml"), []).append((dist, file))
-    return dict(sorted(studies.items()))
 
 
 def parse_study(text: str, source: str = "study") -> Study:

@@ -15,7 +15,7 @@ from p2o.cli.json_output import json_option, print_json
 from p2o.cli.plugin_options import load, plugin_options
 from p2o.cli.progress import LINE_INTERVAL_S
 from p2o.errors import MethodUnavailable, printable
-from p2o_study.cli.ablate import jobs_option
+from p2o_study.cli.ablate import cluster_options, jobs_option
 
 if TYPE_CHECKING:
     from p2o_fleet.evidence import Evidence
@@ -44,8 +44,7 @@ _RATE, _SHARE, _DEG = click.FloatRange(0.01, 1e6), click.FloatRange(0, 1), click
 @click.argument("drives")
 @_store
 @jobs_option
-@_option("--backend", type=click.Choice(["loky", "dask", "ray"]), default="loky", help="Runs the jobs.")
-@click.option("--scheduler", metavar="ADDRESS", help="Existing dask scheduler (tcp://HOST:8786) or ray cluster.")
+@cluster_options
 @_option("--frames", default=8, metavar="N", help="Number of frames of a check.")
 @_option("--candidates", default=12, metavar="N", help="Number of frames, spread in time, to choose from.")
 @_option("--extractor", default="p2ornet/rings", metavar="IMAGE/CLOUD", help="The two extractors.")
@@ -58,7 +57,7 @@ def run(
     store: str,
     jobs: int,
     backend: Any,
-    scheduler: str | None,
+    address: str | None,
     options: tuple[str, ...],
     as_json: bool,
     quiet: bool,
@@ -73,7 +72,7 @@ def run(
 
     \b
     p2o fleet run drives.csv --store fleet --jobs 4
-    p2o fleet run drives.parquet --store fleet --backend dask --scheduler tcp://HOST:8786
+    p2o fleet run drives.parquet --store fleet --backend dask --address tcp://HOST:8786
 
     Exit status 0 if every drive is checked, 1 if logs were unreadable, 2 for wrong input, 130 if interrupted.
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
@@ -93,7 +92,7 @@ def run(
         Store(Path(store).expanduser()),
         settings=settings,
         plugins=Plugins.of(block, plugin),
-        workers=Workers(jobs, "dask" if scheduler and backend == "loky" else backend, scheduler),
+        workers=Workers(jobs, backend, address),
         on_check=(lambda outcome, evidence: None) if quiet or as_json else _Lines(),
     )
     unreadable = done.verdicts[Verdict.UNREADABLE.value]
@@ -136,15 +135,12 @@ class _Lines:
 @_option("--type-tolerance", default="0.03deg 1cm", metavar="SIZE", help="The same for the mean of a vehicle type.")
 @_option("--notice", default="0.5deg 5cm", metavar="SIZE", help="Error that has to be detectable.")
 @jobs_option
-@click.option("--trends/--no-trends", default=True, help="Remove trends with temperature and time of day.")
-@_option("--overlays", default=20, metavar="N", help="Draw frames of N alarms, where their logs are.")
 @click.option("--require", is_flag=True, help="Exit status 1 also if the state of an extrinsic is unknown.")
 @json_option
 @plugin_options
 def report(
     store: str,
     out: str,
-    overlays: int,
     jobs: int,
     require: bool,
     as_json: bool,
@@ -175,7 +171,7 @@ def report(
     state = fleet_state(Store.existing(store), FleetRules(**rules), Workers(jobs))
     folder = Path(out).expanduser()
     plain = write_outputs(state, folder)
-    write_page(state, folder, Overlays(load(plugin, block), overlays))
+    write_page(state, folder, Overlays(load(plugin, block)))
     if as_json:
         print_json(plain)
     else:

@@ -1,36 +1,25 @@
-"""Cards of data: YAML files that describe the data sets of the benchmark, their ground truth and who learned from them.
-
-A card also holds the digests of its frames, by which a reader verifies that own data are the ones that were measured.
-"""
+"""Cards of data: YAML files on the data sets of the benchmark, their ground truth and who learned from them."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
-from p2o.cache import FeatureCache
 from p2o.errors import InputError
 from p2o.files.input_file import listing, read_text
 from p2o.files.parsed_text import parse_yaml
-from p2o.frames.selection import select
 from p2o.options import Options, validated
-from p2o.run.recipe import open_dataset
-from pydantic import Field, StringConstraints
+from pydantic import StringConstraints
 
-from p2o_study.cells import frame_of
 from p2o_study.study import DatasetTable, Label
 from p2o_study.tables import md_text
-from p2o_study.worker import Plugins, ReadJob, Source, read
 
 FOLDER = Path("benchmarks/cards")
 _FACTS = ("sensor", "camera", "place", "frames", "licence", "source", "truth", "faults", "learned")
 _COLUMNS = ("sensor", "camera")
 _OF_PAGE = ("truth", "faults", "learned")
 
-Digest = Annotated[str, StringConstraints(pattern="^[0-9a-f]{64}$")]
-Name = Annotated[str, StringConstraints(min_length=1, max_length=500)]
 Text = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1, max_length=4000)]
 
 
@@ -39,8 +28,7 @@ class Card(Options):
 
     `frames` states their number, `shown` whether images may be published, `truth` the accuracy of the ground truth and
     how it is known, `learned` which of our methods were trained, tuned or chosen on it. `lists` are the lists of
-    splits.json of the suites and the datasets of suites that it describes. `digests` are those of rows
-    (`p2o_study.row.frame_digest`) by frame, empty if none is recorded.
+    splits.json of the suites and the datasets of suites that it describes.
     """
 
     title: Label
@@ -55,7 +43,6 @@ class Card(Options):
     faults: Text
     learned: Text
     lists: tuple[Label, ...] = ()
-    digests: dict[Name, Digest] = Field(default_factory=dict, max_length=10_000)
 
     def covers(self, dataset: DatasetTable) -> bool:
         """Return whether it describes one of the lists of a dataset of a suite, or the dataset by its name."""
@@ -89,43 +76,13 @@ def cards_text(cards: Mapping[str, Card], *, page: bool = False) -> str:
     """
     sections = [name for name, card in cards.items() if card.lists or not page]
     facts = _OF_PAGE if page else [fact for fact in _FACTS if fact not in _COLUMNS]
-    lines = ["| card | data | LiDAR | camera | images may be shown | digests |", "|:--|:--|:--|:--|:--|--:|"]
+    lines = ["| card | data | LiDAR | camera | images may be shown |", "|:--|:--|:--|:--|:--|"]
     for name, card in cards.items():
         columns = [md_text(text) for text in (card.title, card.sensor, card.camera)]
         title = f"[{name}](#{name})" if name in sections else name
-        columns += ["yes" if card.shown else "no", str(len(card.digests) or "-")]
+        columns.append("yes" if card.shown else "no")
         lines.append(f"| {' | '.join([title, *columns])} |")
     for name in sections:
         lines += ["", f"## {name}", ""]
         lines += [f"- **{fact}**: {md_text(cards[name].facts[fact])}" for fact in facts]
     return "\n".join([*lines, ""])
-
-
-def frame_digests(data: str, frames: str, plugins: Plugins) -> dict[str, str]:
-    """Return the digest (`p2o_study.row.frame_digest`) of each frame of DATASET:PATH that `frames` selects.
-
-    Raises as `open_dataset` and `select`, and InputError for a frame that cannot be read.
-    """
-    dataset = open_dataset(data, plugins.registry())
-    digests = {}
-    for index in select(dataset.names, frames, where=data, skipped=dataset.skipped):
-        source = Source(plugins, data, json.dumps({}), index, dataset.names[index])
-        record = read(ReadJob(source, FeatureCache.of_user().root))
-        if record.failure is not None:
-            raise InputError(record.reason, where=f"{data}, frame {record.name}")
-        digests[record.name] = frame_of(record).content
-    return digests
-
-
-def differences(card: Card, digests: Mapping[str, str]) -> list[str]:
-    """Return one line for each frame that a card with digests lists with another digest, or not at all."""
-    if not card.digests:
-        return []
-    lines = []
-    for name, digest in digests.items():
-        known = card.digests.get(name)
-        if known is None:
-            lines.append(f"{name}: the card has no digest of this frame")
-        elif known != digest:
-            lines.append(f"{name}: image, sweep, calibration or ground truth differs from the card")
-    return lines

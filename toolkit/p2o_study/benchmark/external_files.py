@@ -27,12 +27,11 @@ from p2o.geometry import se3
 from p2o.geometry.camera import Camera
 from p2o.geometry.pose_text import read_pose
 from p2o.host.registry import Registry
-from p2o.host.shipped import shipped_files
 from p2o.options import Options, validated
 from pydantic import AfterValidator, Field, StringConstraints
 
 from p2o_study.benchmark.score import KEY, MATRIX, Key, Start, csv_text, pose_cells, pose_in, records, starts_csv
-from p2o_study.study import named_file
+from p2o_study.study import named_file, shipped_toml
 from p2o_study.worker import frames_of
 
 FOLDER = "external"
@@ -128,8 +127,7 @@ def find_form(word: str, registry: Registry) -> Form:
 
     Raises UnknownNameError for an unknown name or key, InputError for a file that cannot be read or is not valid.
     """
-    known = {Path(str(file)).stem: Path(str(file)) for _, file in shipped_files(registry, FOLDER)}
-    path = named_file(word, known, "form of an external program")
+    path = named_file(word, shipped_toml(registry, FOLDER), "form of an external program")
     return validated(Form, parse_toml(read_text(path, "form"), "form", path), where=path)
 
 

@@ -5,7 +5,6 @@ A suite takes datasets, defaults and variants of its study; rows and products of
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,19 +12,14 @@ from p2o.errors import InputError
 from p2o.files.input_file import existing_folder, read_text
 from p2o.files.parsed_text import parse_toml
 from p2o.host.registry import Registry
-from p2o.host.shipped import shipped_files
 from p2o.options import validated
 from p2o.run.protocol import PROTOCOLS
 
 from p2o_study.statistics import GroupOf, by_drive, by_frames
-from p2o_study.study import DatasetTable, Label, Line, Seeds, Study, StudyRow, find_study, named_file
+from p2o_study.study import DatasetTable, Label, Line, Seeds, Study, StudyRow, find_study, named_file, shipped_toml
 
 FOLDER = "suites"
 """Folder of suites in a package: PACKAGE/suites/NAME.toml."""
-_OWN_IMAGE_SIDE = "p2ornet"
-"""The image extractor of our method; its rows need those without prior beside them."""
-_INIT_WITH_PRIOR = "search"
-"""The initializer that uses the initial guess as a prior; rows of others are without prior."""
 
 
 class Suite(Study):
@@ -78,17 +72,15 @@ class Suite(Study):
 def suites(registry: Registry, folder: str | Path | None = None) -> dict[str, Path]:
     """Return the files of suites by name: those in a folder, or those that loaded plugins ship (PACKAGE/suites)."""
     if folder is None:
-        shipped = [Path(str(file)) for _, file in shipped_files(registry, FOLDER)]
-    else:
-        shipped = list(existing_folder(Path(folder), "suites").iterdir())
-    return {path.stem: path for path in sorted(shipped) if path.suffix == ".toml"}
+        return shipped_toml(registry, FOLDER)
+    return {path.stem: path for path in sorted(existing_folder(Path(folder), "suites").glob("*.toml"))}
 
 
 def find_suite(word: str, registry: Registry, folder: str | Path | None = None) -> Suite:
     """Return the suite of a path, or of a name in `suites`.
 
     Raises UnknownNameError for an unknown name or key, InputError for a file that cannot be read, is not valid, or
-    whose rows are not comparable (`check_rows`).
+    whose rows differ in seeds.
     """
     path = named_file(word, suites(registry, folder), "suite", folder)
     suite = validated(Suite, parse_toml(read_text(path, "suite"), "suite", path), where=path)
@@ -97,38 +89,9 @@ def find_suite(word: str, registry: Registry, folder: str | Path | None = None) 
     if suite.splits:
         spec = f"@{path.parent / suite.splits}"
         suite = suite.overridden(frames=[f"{table.name}={spec}" for table in suite.dataset if table.split])
-    check_rows(suite.all_rows(), str(path))
+    first, *others = suite.all_rows()
+    for row in others:
+        if row.seeds != first.seeds:
+            expected = f"the seeds of the first row, {list(first.seeds)}"
+            raise InputError(f"seeds of row '{row.label}'", where=path, expected=expected, got=list(row.seeds))
     return suite
-
-
-def check_rows(rows: Sequence[StudyRow], where: str) -> None:
-    """Raise InputError for rows that are not comparable.
-
-    Every row needs the same seeds. Where our method is a row that uses the prior on the initial guess, the suite also
-    needs it without the prior, on the same data, frames and initial guesses.
-    """
-    for row in rows:
-        if row.seeds != rows[0].seeds:
-            expected = f"the seeds of the first row, {list(rows[0].seeds)}"
-            raise InputError(f"seeds of row '{row.label}'", where=where, expected=expected, got=list(row.seeds))
-    with_prior: set[tuple[object, ...]] = set()
-    without_prior: set[tuple[object, ...]] = set()
-    for row in rows:
-        recipe = row.recipe(row.seeds[0])
-        if (
-            recipe.calibrator is None
-            and recipe.extractor.partition("/")[0] == _OWN_IMAGE_SIDE
-            and recipe.matcher == "ogm"
-        ):
-            key = row.dataset.name, row.joint, recipe.perturb, recipe.accumulate
-            start_sigma = recipe.options.get("pipeline", {}).get("start_sigma")
-            if recipe.options.get("init", {}).get("prior") == 0 and start_sigma is None:
-                without_prior.add(key)
-            elif recipe.init == _INIT_WITH_PRIOR:
-                with_prior.add(key)
-    for group in sorted(with_prior - without_prior, key=str):
-        raise InputError(
-            f"our method on dataset '{group[0]}' lacks a row without prior",
-            where=where,
-            expected="a row with init.prior=0 and without start_sigma",
-        )

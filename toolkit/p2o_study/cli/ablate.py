@@ -88,7 +88,6 @@ def data_options(command: Callable[..., Any]) -> Callable[..., Any]:
 )
 @click.option("--update", is_flag=True, help="Write the reference of --gate instead of comparing.")
 @columns_option
-@click.option("--report", is_flag=True, help="Then write tables (LaTeX, Markdown), figures and a page: `p2o report`.")
 @click.option("--list", "listed", is_flag=True, help="List the installed studies.")
 @click.option("--quiet", is_flag=True, help="No progress.")
 @plugin_options
@@ -104,7 +103,6 @@ def command(
     gate: str | None,
     update: bool,
     columns: tuple[str, ...],
-    report: bool,
     listed: bool,
     quiet: bool,
     plugin: tuple[str, ...],
@@ -117,7 +115,7 @@ def command(
 
     \b
     p2o ablate smoke
-    p2o ablate table2 --data kitti-raw:PATH --frames @splits.json#test --jobs 2 --report
+    p2o ablate table2 --data kitti-raw:PATH --frames @splits.json#test --jobs 2
     p2o ablate rigs --root DIR --frames @splits.json
     p2o ablate STUDY --gate reference.json
 
@@ -157,10 +155,6 @@ def command(
     )
     if done.rows:
         _print_table(overridden, done.rows, done.missing, columns)
-    if done.rows and report:
-        from p2o_study.report import write_report
-
-        click.echo("\n".join(map(str, write_report(folder, studies=[overridden.name], columns=columns))))
     if not quiet:
         click.echo(_outcome_text(done, folder), err=True)
     if done.interrupted:
@@ -220,17 +214,15 @@ def _gated(gate: str, study: Study, done: Ablation, reference: Reference | None,
 
 def _list(plugins: Any) -> str:
     """Return the installed studies, one per line; a broken one with the error."""
-    from p2o_study.study import find_study, shipped_studies
+    from p2o_study.study import FOLDER, find_study, shipped_toml
 
     registry = plugins.registry()
     titles = {}
-    for name, owners in shipped_studies(registry).items():
-        for dist, _ in owners:
-            word = name if len(owners) == 1 else f"{name}@{dist}"
-            try:
-                titles[word] = find_study(word, registry).title
-            except P2OError as problem:
-                titles[word] = f"broken: {printable(str(problem))}"
+    for word in shipped_toml(registry, FOLDER):
+        try:
+            titles[word] = find_study(word, registry).title
+        except P2OError as problem:
+            titles[word] = f"broken: {printable(str(problem))}"
     width = max((len(word) for word in titles), default=0)
     return "\n".join(f"{word:<{width}}  {title}" for word, title in titles.items()) or "no studies"
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import json
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -452,41 +451,23 @@ def page(bench: _Bench, out: str, cards: str) -> int:
 
 @command.command("cards")
 @click.argument("name", required=False)
-@click.option("--digest", metavar="DATASET:PATH", help="Print the digests of these frames and verify them.")
-@click.option("--frames", metavar="SPEC", help="Frames of --digest (default: those of the card, all if it has none).")
 @_takes()
 @_cards
-def cards(bench: _Bench, name: str | None, digest: str | None, frames: str | None, cards: str) -> int:
-    """Print the cards of data in Markdown, or verify that frames are those of a card.
+def cards(bench: _Bench, name: str | None, cards: str) -> int:
+    """Print the cards of data in Markdown.
 
     \b
     p2o benchmark cards waymo
-    p2o benchmark cards waymo --digest folder:build/data/rigs/waymo
-
-    Exit status 1 if a frame differs from the card.
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
     from p2o.errors import UnknownNameError
 
-    from p2o_study.benchmark.card import cards_text, differences, frame_digests, read_cards
+    from p2o_study.benchmark.card import cards_text, read_cards
 
     known = read_cards(Path(cards))
     if name is not None and name not in known:
         raise UnknownNameError("card", name, known, where=cards)
-    if digest is None:
-        click.echo(cards_text(known if name is None else {name: known[name]}), nl=False)
-        return 0
-    if name is None:
-        raise click.UsageError("--digest needs the name of a card")
-    card = known[name]
-    digests = frame_digests(digest, frames or ",".join(card.digests) or "all", bench.plugins)
-    different = differences(card, digests)
-    click.echo(
-        "\n".join(["digests:", *(f"  {json.dumps(frame)}: {json.dumps(value)}" for frame, value in digests.items())])
-    )
-    click.echo("\n".join(map(printable, different)), nl=bool(different))
-    state = f"{len(digests) - len(different)} of {len(digests)} frames as in" if card.digests else "no digests in"
-    click.echo(f"{state} the card {name}")
-    return 1 if different else 0
+    click.echo(cards_text(known if name is None else {name: known[name]}), nl=False)
+    return 0
 
 
 @command.command("record", context_settings={"ignore_unknown_options": True})
