@@ -594,16 +594,14 @@ def test_velocity_and_camera_of_a_frame_are_known_to_whoever_calibrates_its_feat
     assert facts.camera_name == "front"
 
 
-def test_table_and_report_have_the_chosen_columns(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_writes_a_report_with_the_chosen_columns(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
     text = QUICK + 'joint = 2\n[[row]]\nlabel = "quick alone"\ncalibrator = "quick"\nwitness = "none"\n'
     words, out = bench.words(text, "--jobs", "1", "--no-isolate", "--quiet"), bench.root / "out"
-    assert main([*words, "--columns", "rotation meen"]) == 2
+    assert main([*words, "--report", "--columns", "rotation meen"]) == 2
     assert "--columns: unknown column 'rotation meen'" in capsys.readouterr().err
     assert bench.calls()["quick"] == 0, "refused before any work"
-    columns = ["--columns", "runs,translation mean"]
-    assert main([*words, *columns]) == 0
+    assert main([*words, "--report", "--columns", "runs,translation mean"]) == 0
     assert re.split("  +", capsys.readouterr().out.splitlines()[1].strip()) == ["runs", "translation mean [cm]"]
-    assert main(["report", str(out), *columns]) == 0
     assert "row & runs & translation mean [cm] \\\\" in (out / "report/report.tex").read_text()
     figures = {path.name for path in (out / "report").glob("*over-frames*")}
     assert figures == {f"tiny-1-over-frames.{form}" for form in ("pdf", "png", "svg")}

@@ -88,6 +88,7 @@ def data_options(command: Callable[..., Any]) -> Callable[..., Any]:
 )
 @click.option("--update", is_flag=True, help="Write the reference of --gate instead of comparing.")
 @columns_option
+@click.option("--report", is_flag=True, help="Then write tables (LaTeX, Markdown), figures and a page: `p2o report`.")
 @click.option("--list", "listed", is_flag=True, help="List the installed studies.")
 @click.option("--quiet", is_flag=True, help="No progress.")
 @plugin_options
@@ -103,6 +104,7 @@ def command(
     gate: str | None,
     update: bool,
     columns: tuple[str, ...],
+    report: bool,
     listed: bool,
     quiet: bool,
     plugin: tuple[str, ...],
@@ -115,7 +117,7 @@ def command(
 
     \b
     p2o ablate smoke
-    p2o ablate table2 --data kitti-raw:PATH --frames @splits.json#test --jobs 2
+    p2o ablate table2 --data kitti-raw:PATH --frames @splits.json#test --jobs 2 --report
     p2o ablate rigs --root DIR --frames @splits.json
     p2o ablate STUDY --gate reference.json
 
@@ -155,6 +157,10 @@ def command(
     )
     if done.rows:
         _print_table(overridden, done.rows, done.missing, columns)
+    if done.rows and report:
+        from p2o_study.report import write_report
+
+        click.echo("\n".join(map(str, write_report(folder, studies=[overridden.name], columns=columns))))
     if not quiet:
         click.echo(_outcome_text(done, folder), err=True)
     if done.interrupted:
