@@ -101,12 +101,12 @@ class ParquetSegment:
 
     def _by_key(self, component: str, pairs: Iterable[tuple[int, _Value]]) -> dict[int, _Value]:
         """Return the pairs as a mapping; raises InputError for a frame or sensor with several rows."""
-        found: dict[int, _Value] = {}
+        values: dict[int, _Value] = {}
         for key, value in pairs:
-            if key in found:
+            if key in values:
                 raise InputError("two rows have the same key", where=self.where(component), expected="one", got=key)
-            found[key] = value
-        return found
+            values[key] = value
+        return values
 
     def _rows(self, component: str, key: str, prefix: str, fields: Sequence[str]) -> Mapping[int, Mapping[str, Any]]:
         table, names = self._table(component), [f"[{prefix}].{name}" for name in fields]

@@ -112,12 +112,12 @@ def calibration_of(text: str, path: Path) -> KittiCalibration:
     refuse_cut_off(text, path)
     lines = [line for line in text.splitlines() if line.strip()]
     matches = [_LINE.match(line) for line in lines]
-    found = [(match[1] or match[2] or "", match[3].split()) for match in matches if match is not None]
-    pairs = {key: " ".join(words) for key, words in found}
+    entries = [(match[1] or match[2] or "", match[3].split()) for match in matches if match is not None]
+    pairs = {key: " ".join(words) for key, words in entries}
     if not pairs or None in matches:
         got = repr(next((line for line, match in zip(lines, matches, strict=True) if match is None), "")[:60])
         raise InputError("this is not a KITTI calibration file", where=path, expected='lines "key: numbers"', got=got)
-    twice = next((key for key, words in found if pairs[key] != " ".join(words)), None)
+    twice = next((key for key, words in entries if pairs[key] != " ".join(words)), None)
     if twice is not None:
         raise InputError(f"{twice[:20]} is given twice with different values", where=path, expected="each key once")
     return KittiCalibration(path, pairs, text.endswith(("\n", "\r")))

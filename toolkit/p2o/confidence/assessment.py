@@ -16,6 +16,7 @@ from p2o.confidence.accuracy import (
     ErrorBudget,
     ErrorModel,
     accuracy_of,
+    fits_as_well,
     likely_accuracy,
     likely_covariance,
     or_rival,
@@ -65,7 +66,7 @@ def assess(
         return replace(refused(views, start, Status.NO_IMPROVEMENT, _no_improvement(judged), end.rounds), judged=judged)
     agreement = judge.agreement(estimate.views, end.pose)
     scatter = None if agreement is None else _Scatter.of(estimate, agreement, options)
-    pose, accuracy, weight, warnings = end.pose, None, None, remarks_of(views)
+    pose, accuracy, limited, weight, warnings = end.pose, None, None, None, remarks_of(views)
     covariance = final.covariance
     if covariance is None and end.solution is not None:
         covariance = end.solution.covariance
@@ -78,6 +79,7 @@ def assess(
         if weighted is not None:
             pose, likely, judged, weight = weighted
             accuracy = accuracy_of(likely, budget.model)
+        narrow = accuracy
         if not final.cameras_corrected:
             rivals = _rival_covariance(estimate.refined)
             if weight is not None:
@@ -85,6 +87,8 @@ def assess(
                 weight = replace(weight, accuracy=accuracy_of(by_edges, budget.model))
             likely = plus_known(likely, rivals, pose, budget.model)
             accuracy = accuracy_of(likely, budget.model)
+        # A pose that fits as well is a reason for doubt of its own.
+        limited = narrow if rival is not None and fits_as_well(rival) else accuracy
         covariance = predicted_covariance(likely, pose, budget.model)
     cameras = checks_of(final, [view.camera for view in views])
     left_box = None if estimate.refined.within(pose) else estimate.refined.box
@@ -103,7 +107,7 @@ def assess(
         judged=judged,
         agreement=agreement,
         rival=rival,
-        verdict=verdict_of(agreement, rival, cameras, options, accuracy, box=left_box, **places),
+        verdict=verdict_of(agreement, rival, cameras, options, limited, box=left_box, **places),
         cameras=at_full_size(cameras, views),
         motions=final.nuisance.sweep_motions(views),
         time=final.time,
