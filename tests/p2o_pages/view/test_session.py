@@ -56,6 +56,16 @@ def test_the_overlay_is_the_whole_sweep_at_the_pose_that_the_sliders_say(tmp_pat
     assert np.array_equal(viewed.overlay(), draw_sweep(FRAME.image.rgb, FRAME.cloud, FRAME.camera, START))
 
 
+def test_the_pose_stays_when_other_axes_are_chosen(tmp_path: Path) -> None:
+    viewed = session(tmp_path)
+    viewed.nudge = Nudge("camera", (0.0, 1.5, 0.0), (0.0, 0.0, 0.2))
+    pose = viewed.pose
+    viewed.settle("LiDAR")
+    assert np.array_equal(viewed.pose, pose)
+    viewed.nudge = Nudge("LiDAR", (0.0, 0.0, 1.0))
+    assert np.allclose(viewed.pose, Nudge("LiDAR", (0.0, 0.0, 1.0)).applied(pose))
+
+
 def test_the_pose_stays_when_another_frame_is_looked_at_and_a_bad_one_changes_nothing(tmp_path: Path) -> None:
     viewed = session(tmp_path)
     viewed.nudge = Nudge("camera", (1.0, 0.0, 0.0))
