@@ -34,7 +34,7 @@ class EgoPath:
             raise InputError("there are no poses of the vehicle", where=self.where, expected="at least one")
         if (np.diff(self.time_ns) <= 0).any():
             raise InputError("the times of the poses do not ascend", where=self.where)
-        refuse_jump(self.world_from_body, np.diff(self.time_ns) / _SECOND, self.where)
+        refuse_jump(self.world_from_body[:, :3, 3], np.diff(self.time_ns) / _SECOND, self.where)
 
     def fixed_to(self, body_from_sensor: Float) -> EgoPath:
         """Return the path of a sensor that is fixed to this body."""
@@ -73,16 +73,16 @@ class EgoPath:
             return None
 
 
-def refuse_jump(world_from_body: Float, seconds: Any, where: Path) -> None:
-    """Raise InputError if a vehicle with successive poses (N, 4, 4) moves faster than 100 m/s, with a margin of 1 m.
+def refuse_jump(positions_m: Float, seconds: Any, where: Path) -> None:
+    """Raise InputError if a vehicle at successive positions (N, 3) moves faster than 100 m/s, with a margin of 1 m.
 
     `seconds` (N - 1,) are the times between them, or one time for all.
     """
-    step_m = np.linalg.norm(np.diff(world_from_body[:, :3, 3], axis=0), axis=1)
+    step_m = np.linalg.norm(np.diff(positions_m, axis=0), axis=1)
     wrong = np.flatnonzero(step_m > 1 + _MAX_SPEED_M_S * np.abs(seconds))
     if len(wrong):
         fault, expected = "the vehicle jumps between two poses", f"at most 1 m + {_MAX_SPEED_M_S:g} m/s"
-        got = f"{step_m[wrong[0]]:.4g} m after {world_from_body[wrong[0], :3, 3].round(2).tolist()}"
+        got = f"{step_m[wrong[0]]:.4g} m after {positions_m[wrong[0]].round(2).tolist()}"
         raise InputError(fault, where=where, expected=expected, got=got)
 
 

@@ -184,7 +184,7 @@ def _read(source: _Source, pair: tuple[_File, _File]) -> Frame:
     image, warnings = read_image(image_path, camera)
     cloud, cloud_warnings = read_cloud(sweep_path, columns=_COLUMNS)
     world_from_lidar = now @ ego_from_lidar
-    refuse_jump(np.array([then, now]), (image_file.time_us - sweep_file.time_us) / _PER_SECOND, poses)
+    refuse_jump(np.array([then[:3, 3], now[:3, 3]]), (image_file.time_us - sweep_file.time_us) / _PER_SECOND, poses)
     if source.options.moved:
         cloud = moved_cloud(cloud, se3.inverse(world_from_lidar) @ (then @ ego_from_lidar))
     extrinsic = se3.inverse(ego_from_camera) @ ego_from_lidar

@@ -198,9 +198,7 @@ def _sweep(
             got = f"{pixel_poses.shape[0]}x{pixel_poses.shape[1]}"
             raise InputError(fault, where=path, expected=f"{pixels.shape[0]}x{pixels.shape[1]} pixels", got=got)
         pixel_poses = pixel_poses[ring, column]
-        origins = np.tile(np.eye(4), (len(xyz) + 1, 1, 1))
-        origins[:, :3, 3] = [_frame_pose(pair)[:3, 3], *pixel_poses[:, 3:]]
-        refuse_jump(origins, _MAX_EXPOSURE_S, path)
+        refuse_jump(np.vstack([_frame_pose(pair)[:3, 3], pixel_poses[:, 3:]]), _MAX_EXPOSURE_S, path)
         world = to_world(se3.apply(vehicle_from_lidar, xyz), pixel_poses)
         xyz = se3.apply(se3.inverse(_frame_pose(pair) @ vehicle_from_lidar), world)
     x, y, z = xyz.T
