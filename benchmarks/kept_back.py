@@ -32,7 +32,7 @@ LABEL = "default"
 """The label of single frames in the suite; that of joint calibrations ends with ", joint"."""
 COLUMNS = ("runs (frames)", "deg median", "deg mean", "cm median", "cm mean", "trusted", "trusted, outside 95 %")
 
-SHORT = {"single": "one frame", "joint": "all jointly"}
+SHORT = {"single": "one frame (deg, cm)", "joint": "all jointly"}
 """Headings of `by_set` by mode."""
 WRONG = "trusted, > 1 deg or 30 cm"
 SETS = (
@@ -88,7 +88,7 @@ def by_set(rows: list[dict[str, str]], weights: str) -> str:
     cells = []
     for name in SETS:
         modes = {row["mode"]: row for row in rows if row["set"] == name and row["weights"] == weights}
-        errors = [f"{row['deg median']} deg, {row['cm median']} cm" for row in (modes[mode] for mode in SHORT)]
+        errors = [f"{row['deg median']}, {row['cm median']}" for row in (modes[mode] for mode in SHORT)]
         runs = sum(int(row["runs (frames)"].split()[0]) for row in modes.values())
         trusted, wrong = (sum(int(row[key]) for row in modes.values()) for key in ("trusted", WRONG))
         frames = modes["single"]["runs (frames)"].split("(")[1].rstrip(")")
