@@ -79,13 +79,27 @@ UNKNOWN_SIDE: Any = lambda _: p2o.ImageFeatures(edges=p2o.ImageEdges(np.ones((1,
         (Kind.CALIBRATOR, solved(status="converged"), "", "the status is 'converged'; expected a p2o.Status"),
         (Kind.CALIBRATOR, solved(reason=None), "", "calibrating: reason is not valid"),
         (Kind.CALIBRATOR, lambda frames, start: start.fill(0), "", "ValueError while calibrating.*read-only"),
+        (Kind.CALIBRATOR, lambda frames, pose: pose, "", "returned ndarray; expected p2o.Result"),
+        (Kind.MATCHER, lambda views, pose, reach: 3, "", "returned int; expected p2o.solving.Problem"),
+        (Kind.IMAGE_EXTRACTOR, lambda image: None, "", "returned NoneType; expected p2o.ImageFeatures"),
+        (Kind.IMAGE_EXTRACTOR, lambda image: p2o.ImageFeatures(), "image-edges", "gave no edges"),
+        (Kind.CLOUD_EXTRACTOR, lambda cloud: [], "", "returned list; expected p2o.CloudFeatures"),
+        (Kind.SOLVER, lambda p, pose: p2o.Solution(pose * np.nan, 0.0, 1), "", "no rigid transform"),
+        (Kind.SOLVER, lambda p, pose: p2o.Solution(pose[:3], 0.0, 1), "", "no rigid transform"),
+        (Kind.SOLVER, lambda p, pose: p2o.Solution(np.diag([1.0, 1, -1, 1]), 0.0, 1), "", "mirrors space"),
+        (Kind.SOLVER, lambda p, pose: p2o.Solution(pose, np.nan, 1), "", "cost returned NaN"),
+        (Kind.SOLVER, lambda p, pose: p2o.Solution(pose, 0.0, 1, covariance=np.eye(5)), "", r"expected \(6, 6\)"),
+        (Kind.INITIALIZER, lambda views, pose: [], "", "proposed no start"),
+        (Kind.INITIALIZER, lambda views, pose: [np.zeros((4, 4))], "", "no rigid transform"),
     ],
 )
 def test_wrong_values_of_a_stage_are_faults_that_name_it(kind: Kind, call: Any, gives: str, text: str) -> None:
     given = {
         Kind.IMAGE_EXTRACTOR: (stage.frame().image,),
+        Kind.CLOUD_EXTRACTOR: (stage.frame().cloud,),
         Kind.MATCHER: ([stage.view()], np.eye(4), 1.0),
         Kind.SOLVER: (None, np.eye(4)),
+        Kind.INITIALIZER: ([], np.eye(4)),
         Kind.CALIBRATOR: ([stage.frame()], np.eye(4)),
     }
     with pytest.raises(PluginError, match=f"plugin acme: {kind} 'fake'.*{text}"):

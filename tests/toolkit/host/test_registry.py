@@ -286,31 +286,6 @@ def test_what_a_stage_raises_names_plugin_and_stage_and_our_own_errors_pass_thro
     assert caught.value is mine
 
 
-WRONG = {
-    "type": (Kind.MATCHER, lambda views, pose, reach: 3, "returned int; expected p2o.solving.Problem"),
-    "image type": (Kind.IMAGE_EXTRACTOR, lambda image: None, "returned NoneType; expected p2o.ImageFeatures"),
-    "cloud type": (Kind.CLOUD_EXTRACTOR, lambda cloud: [], "returned list; expected p2o.CloudFeatures"),
-    "result type": (Kind.CALIBRATOR, lambda frames, pose: pose, "returned ndarray; expected p2o.Result"),
-    "nan pose": (Kind.SOLVER, lambda p, pose: p2o.Solution(pose * np.nan, 0.0, 1), "no rigid transform"),
-    "shape": (Kind.SOLVER, lambda p, pose: p2o.Solution(pose[:3], 0.0, 1), "no rigid transform"),
-    "mirror": (Kind.SOLVER, lambda p, pose: p2o.Solution(np.diag([1.0, 1, -1, 1]), 0.0, 1), "mirrors space"),
-    "nan cost": (Kind.SOLVER, lambda p, pose: p2o.Solution(pose, np.nan, 1), "cost returned NaN"),
-    "covariance": (Kind.SOLVER, lambda _, p: p2o.Solution(p, 0.0, 1, covariance=np.eye(5)), "expected \\(6, 6\\)"),
-    "no start": (Kind.INITIALIZER, lambda views, pose: [], "proposed no start"),
-    "bad start": (Kind.INITIALIZER, lambda views, pose: [np.zeros((4, 4))], "no rigid transform"),
-}
-
-
-@pytest.mark.parametrize(("kind", "stage", "message"), WRONG.values(), ids=WRONG)
-def test_what_a_stage_must_not_return_names_plugin_and_stage(kind: Kind, stage: object, message: str) -> None:
-    arguments = {Kind.MATCHER: ([], np.eye(4), 1.0), Kind.IMAGE_EXTRACTOR: (None,), Kind.CLOUD_EXTRACTOR: (None,)}
-    with pytest.raises(PluginError, match=f"plugin acme-p2o: {kind} 'fake'.*{message}"):
-        build(offer_of(kind, stage), p2o.Options())(*arguments.get(kind, ([], np.eye(4))))
-    promised = offer_of(Kind.IMAGE_EXTRACTOR, lambda image: p2o.ImageFeatures(), gives={"image-edges"})
-    with pytest.raises(PluginError, match="gave no edges"):
-        build(promised, p2o.Options())(None)
-
-
 def test_the_state_of_the_process_stays_after_a_stage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def solve(problem: object, pose: np.ndarray) -> p2o.Solution:
         os.chdir("/")

@@ -16,7 +16,7 @@ from p2o_study.study import Product, RowTable, Words
 def test_every_kind_has_one_slot_and_one_stage() -> None:
     assert sorted(slot.kind for slot in SLOTS) == sorted(Kind)
     assert len({slot.stage for slot in SLOTS}) == len(SLOTS)
-    assert all(hasattr(hookspecs, slot.hook) for slot in SLOTS)
+    assert all(hasattr(hookspecs, slot.kind.hook) for slot in SLOTS)
     assert method.Kind is p2o.Kind is Kind
 
 

@@ -13,7 +13,9 @@ from p2o.cli.plugin_options import (
     load,
     matcher_option,
     plugin_options,
+    seed_option,
     settings_option,
+    text_option,
 )
 from p2o.cli.progress import long_work, status_line
 from p2o.errors import InputError, printable
@@ -24,25 +26,16 @@ if TYPE_CHECKING:
 
 @click.command("check")
 @data_argument("The data.")
-@click.option(
-    "--extrinsic", required=True, metavar="FILE|truth|start", help="The extrinsic: a file, or that of the data."
-)
-@click.option(
-    "--frames", metavar="SPEC", help="Which frames, as in `p2o run`; they are evaluated jointly (default: all)."
-)
-@click.option("--notice", metavar='"0.3deg 3cm"', help='Errors that have to be detectable (default: "1deg 30cm").')
-@click.option("--alarm-rate", type=float, default=0.01, show_default=True, metavar="SHARE", help="False-alarm rate.")
-@click.option(
-    "--power",
-    type=float,
-    default=0.95,
-    show_default=True,
-    metavar="SHARE",
-    help="Detection rate of an error at the limit.",
+@text_option("--extrinsic", "FILE|truth|start", "The extrinsic: a file, or that of the data.", required=True)
+@text_option("--frames", "SPEC", "Which frames, as in `p2o run`; they are evaluated jointly (default: all).")
+@text_option("--notice", '"0.3deg 3cm"', 'Errors that have to be detectable (default: "1deg 30cm").')
+@text_option("--alarm-rate", "SHARE", "False-alarm rate.", type=float, default=0.01, show_default=True)
+@text_option(
+    "--power", "SHARE", "Detection rate of an error at the limit.", type=float, default=0.95, show_default=True
 )
 @click.option("--require", is_flag=True, help="Exit status 1 also if the outcome is cannot-tell.")
 @click.option("--watch", "watching", is_flag=True, help="Check each frame of a drive and detect slips of the mounting.")
-@click.option("--alarms-per-hour", type=float, metavar="N", help="With --watch: false alarms per hour (default: 0.1).")
+@text_option("--alarms-per-hour", "N", "With --watch: false alarms per hour (default: 0.1).", type=float)
 @click.option(
     "--rate",
     "rate_hz",
@@ -50,19 +43,17 @@ if TYPE_CHECKING:
     metavar="HZ",
     help="With --watch: frames per second (default: from the times of the frames).",
 )
-@click.option(
+@text_option(
     "--settle",
+    "N",
+    "With --watch: number of first frames that define the normal level (default: 20).",
     type=click.IntRange(min=1),
-    metavar="N",
-    help="With --watch: number of first frames that define the normal level (default: 20).",
 )
 @extractor_option
 @matcher_option
 @settings_option()
-@click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Seed of all random numbers (default: 0).")
-@click.option(
-    "--out", type=click.Path(), metavar="DIR", help="Folder of a page (check.html) and its JSON (check.json)."
-)
+@seed_option
+@text_option("--out", "DIR", "Folder of a page (check.html) and its JSON (check.json).", type=click.Path())
 @json_option
 @plugin_options
 def command(
@@ -91,7 +82,7 @@ def command(
     from p2o.files.whole_file import write_json, write_whole
     from p2o.page.check_page import JSON, PAGE, check_page
     from p2o.results.check import CheckStatus
-    from p2o.results.result_json import check_to_dict
+    from p2o.results.result_json import to_dict
     from p2o.run.check import check, watch
 
     of_watch = {name: words.pop(name) for name in ("alarms_per_hour", "rate_hz", "settle")}
@@ -108,10 +99,10 @@ def command(
         else:
             check_result = check(data, extrinsic, **words)
     if folder is not None:
-        write_json(folder / JSON, check_to_dict(check_result))
+        write_json(folder / JSON, to_dict(check_result))
         write_whole(folder / PAGE, check_page(check_result, describe_check(check_result)).encode())
     if as_json:
-        print_json(check_to_dict(check_result))
+        print_json(to_dict(check_result))
     else:
         click.echo(describe_check(check_result))
     bad = {CheckStatus.OFF, CheckStatus.CANNOT_TELL} if require else {CheckStatus.OFF}
@@ -196,24 +187,19 @@ def _of_watch(watch: Watch) -> list[str]:
 
 def _detectable(watch: Watch) -> str:
     """Return the smallest detectable slip of each axis."""
+    from p2o.results.check import size_text
+
     after = f"slips after the first {watch.settled} of {len(watch.frames)} frames"
-    known = [one for one in watch.detectable if one.size is not None]
-    if not known:
-        return f"no {after}: take more frames"
-    sizes = (f"{one.axis} {_sized(one.unit, one.size or 0.0)}" for one in known)
-    return f"{after} from about {', '.join(sizes)}"
-
-
-def _sized(unit: str, size: float) -> str:
-    return f"{size:.2f} deg" if unit == "deg" else f"{100 * size:.1f} cm"
+    sizes = [f"{one.axis} {size_text(one.unit, one.size)}" for one in watch.detectable if one.size is not None]
+    return f"{after} from about {', '.join(sizes)}" if sizes else f"no {after}: take more frames"
 
 
 def _slip(slip: Slip) -> str:
-    scale, unit, digits = (1, "deg", 2) if slip.unit == "deg" else (100, "cm", 1)
-    return (
-        f"{slip.axis} {scale * slip.size:+.{digits}f} +- {scale * slip.sigma:.{digits}f} {unit}: detected at frame "
-        f"{slip.noticed} ({slip.noticed_frame}), began at about frame {slip.began} ({slip.began_frame})"
-    )
+    from p2o.results.check import size_text
+
+    size = size_text(slip.unit, slip.size, "+").partition(" ")[0]
+    places = f"detected at frame {slip.noticed} ({slip.noticed_frame}), began at about frame {slip.began}"
+    return f"{slip.axis} {size} +- {size_text(slip.unit, slip.sigma)}: {places} ({slip.began_frame})"
 
 
 def _word(holding: str) -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from p2o.cli.completion import complete_data, complete_extractors, complete_methods, complete_settings
+from p2o.cli.completion import Completer, complete_data, complete_extractors, complete_methods, complete_settings
 
 if TYPE_CHECKING:
     from p2o.host.registry import Registry
@@ -55,15 +55,18 @@ def data_argument(text: str, default: str | None = None) -> Callable[[Callable[.
     return decorate
 
 
-extractor_option = click.option(
-    "--extractor",
-    metavar="IMAGE/CLOUD",
-    shell_complete=complete_extractors,
-    help="The two extractors (default: p2ornet/rings).",
+def text_option(
+    name: str, metavar: str, text: str, complete: Completer | None = None, **words: Any
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Return an option with a value, described by `text`; `complete` completes values, `words` are those of click."""
+    return click.option(name, metavar=metavar, help=text, shell_complete=complete, **words)
+
+
+extractor_option = text_option(
+    "--extractor", "IMAGE/CLOUD", "The two extractors (default: p2ornet/rings).", complete_extractors
 )
-matcher_option = click.option(
-    "--matcher", metavar="NAME", shell_complete=complete_methods("matcher"), help="The matcher (default: ogm)."
-)
+matcher_option = text_option("--matcher", "NAME", "The matcher (default: ogm).", complete_methods("matcher"))
+seed_option = text_option("--seed", "N", "Seed of all random numbers (default: 0).", type=click.IntRange(min=0))
 
 
 def settings_option(text: str = "An option.") -> Callable[[Callable[..., Any]], Callable[..., Any]]:

@@ -18,7 +18,9 @@ from p2o.cli.plugin_options import (
     load,
     matcher_option,
     plugin_options,
+    seed_option,
     settings_option,
+    text_option,
 )
 from p2o.cli.pose_options import StartCommand
 from p2o.cli.progress import long_work, status_line
@@ -39,9 +41,7 @@ if TYPE_CHECKING:
 
 @click.command("run", cls=StartCommand)
 @data_argument("The data (default: the built-in frame, example:).", default="example:")
-@click.option(
-    "--frames", metavar="SPEC", help="all, indices and ranges (0,4-7), @splits.json#test, or names (default: all)."
-)
+@text_option("--frames", "SPEC", "all, indices and ranges (0,4-7), @splits.json#test, or names (default: all).")
 @click.option(
     "--method",
     "--recipe",
@@ -52,81 +52,67 @@ if TYPE_CHECKING:
 )
 @extractor_option
 @matcher_option
-@click.option("--solver", metavar="NAME", shell_complete=complete_methods("solver"), help="The solver (default: lm).")
-@click.option(
-    "--init",
-    metavar="NAME",
-    shell_complete=complete_methods("initializer"),
-    help="The initializer, which proposes poses (default: search).",
+@text_option("--solver", "NAME", "The solver (default: lm).", complete_methods("solver"))
+@text_option(
+    "--init", "NAME", "The initializer, which proposes poses (default: search).", complete_methods("initializer")
 )
-@click.option(
+@text_option(
     "--calibrator",
-    metavar="NAME",
-    shell_complete=complete_methods("calibrator"),
-    help="A complete method instead of extractor, matcher, solver and init.",
+    "NAME",
+    "A complete method instead of extractor, matcher, solver and init.",
+    complete_methods("calibrator"),
 )
 @settings_option("An option (`p2o methods NAME` lists them).")
-@click.option(
-    "--accumulate",
-    metavar="NAME",
-    shell_complete=complete_methods("accumulator"),
-    help="Accumulate sweeps of a sequence with this method.",
+@text_option(
+    "--accumulate", "NAME", "Accumulate sweeps of a sequence with this method.", complete_methods("accumulator")
 )
-@click.option(
+@text_option(
     "--witness",
-    metavar="IMAGE/CLOUD",
-    shell_complete=complete_extractors,
-    help="Extractors for an independent check of methods that use no directed edges (default: p2ornet/rings; none).",
+    "IMAGE/CLOUD",
+    "Extractors for an independent check of methods that use no directed edges (default: p2ornet/rings; none).",
+    complete_extractors,
 )
-@click.option(
+@text_option(
     "--perturb",
-    metavar='"2deg 0.15m"',
-    help="Error of the initial guess against the ground truth, in a random direction; @FILE reads errors from a list.",
+    '"2deg 0.15m"',
+    "Error of the initial guess against the ground truth, in a random direction; @FILE reads errors from a list.",
 )
-@click.option(
+@text_option(
     "--start",
-    metavar='roughly "x forward, z up; camera looks forward" | FILE',
-    help="Initial guess in words (two axes of the LiDAR, viewing direction and, if known, position of the camera), or "
+    'roughly "x forward, z up; camera looks forward" | FILE',
+    "Initial guess in words (two axes of the LiDAR, viewing direction and, if known, position of the camera), or "
     "from a calibration file (formats of `p2o convert`).",
 )
-@click.option(
+@text_option(
     "--start-sigma",
-    metavar='"2deg 0.1m"',
-    help="Standard deviation of the initial guess per axis: then a prior of the result (default: unknown).",
+    '"2deg 0.1m"',
+    "Standard deviation of the initial guess per axis: then a prior of the result (default: unknown).",
 )
-@click.option(
-    "--protocol",
-    metavar="NAME",
-    shell_complete=complete_protocols,
-    help="Draw initial guesses and report errors as in a publication.",
-)
-@click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Seed of all random numbers (default: 0).")
+@text_option("--protocol", "NAME", "Draw initial guesses and report errors as in a publication.", complete_protocols)
+@seed_option
 @click.option("--joint", is_flag=True, default=None, help="Calibrate all frames jointly, with one result.")
-@click.option(
+@text_option(
     "--rig",
+    "[FILE]",
+    "One joint result per camera; FILE (YAML, JSON) assigns frames to cameras and gives the poses of cameras.",
     is_flag=False,
     flag_value=True,
     type=click.UNPROCESSED,
-    metavar="[FILE]",
-    help="One joint result per camera; FILE (YAML, JSON) assigns frames to cameras and gives the poses of cameras.",
 )
-@click.option(
+@text_option(
     "--require",
-    metavar='"[trusted] [0.3deg 0.1m]"',
-    help="Exit status 1 unless every result is trusted and, with a size, its predicted error is at most this.",
+    '"[trusted] [0.3deg 0.1m]"',
+    "Exit status 1 unless every result is trusted and, with a size, its predicted error is at most this.",
 )
 @json_option
 @click.option("--verbose", "-v", is_flag=True, help="Print every figure of each result.")
-@click.option(
-    "--out",
-    type=click.Path(),
-    metavar="DIR",
-    help="Folder of a page (result.html), result JSON, overlays and convergence plots.",
+@text_option(
+    "--out", "DIR", "Folder of a page (result.html), result JSON, overlays and convergence plots.", type=click.Path()
 )
-@click.option(
+@text_option(
     "--rerun",
-    metavar="FILE.rrd",
-    help="Record sweep, images, edges and poses of each frame for the Rerun viewer (extra rerun).",
+    "FILE.rrd",
+    "Record sweep, images, edges and poses of each frame for the Rerun viewer (extra rerun).",
 )
 @click.option(
     "--export",

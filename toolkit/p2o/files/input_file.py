@@ -159,15 +159,11 @@ def no_such_folder(path: Path, expected: str) -> InputError:
 def existing_folder(root: Path, what: str) -> Path:
     """Return the folder with ~ expanded; raises InputError if it is missing or a file."""
     root = expanded(root)
-    try:
-        about = os.stat(root)
-    except FileNotFoundError as problem:
-        raise no_such_folder(root, f"the folder of {what}") from problem
-    except OSError as problem:
-        raise InputError(f"the folder of {what} cannot be read", where=root, got=problem.strerror) from problem
-    except ValueError as problem:
-        text = f"the name of the folder of {what} is not valid"
-        raise InputError(text, where=ascii(str(root)), got=problem) from problem
+    with _explained(root, f"folder of {what}"):
+        try:
+            about = os.stat(root)
+        except FileNotFoundError as problem:
+            raise no_such_folder(root, f"the folder of {what}") from problem
     if not stat.S_ISDIR(about.st_mode):
         raise InputError(f"the folder of {what} is a file", where=root, expected="a folder")
     return root

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar, TypeVar, cast
 
 import numpy as np
 
@@ -38,6 +38,7 @@ from p2o.results.evidence import Agreement
 from p2o.results.result import Result, Solution, Status
 from p2o.results.result_json import result_from_dict, result_to_dict
 
+_T = TypeVar("_T")
 _CHECKED_ON_CONSTRUCTION = (PointToLine, PointsOnRays)
 """Classes of the toolkit: their values are validated on construction, and their code is not a plugin's."""
 
@@ -90,8 +91,7 @@ class _GuardedLeastSquares(LeastSquares):
     _offer: ClassVar[Offer]
 
     def residuals(self, camera_from_lidar: Float) -> Float:
-        with watch(self._offer, "computing residuals"):
-            residuals = _floats(super().residuals(camera_from_lidar))
+        residuals = _numbers(self._offer, "computing residuals", super().residuals, camera_from_lidar)
         return _require_shape(self._offer, "residuals", residuals, (*np.shape(camera_from_lidar)[:-2], len(self)))
 
     def residuals_with_jacobian(self, camera_from_lidar: Float) -> tuple[Float, Float]:
@@ -105,18 +105,15 @@ class _GuardedLeastSquares(LeastSquares):
         return residuals, jacobian
 
     def cost(self, poses: Float) -> Float:
-        with watch(self._offer, "computing its cost"):
-            costs = _floats(super().cost(poses))
+        costs = _numbers(self._offer, "computing its cost", super().cost, poses)
         return _require(self._offer, "cost", costs, (len(poses),))
 
     def loss(self, residuals: Float) -> Float:
-        with watch(self._offer, "computing its loss"):
-            loss = _floats(super().loss(residuals))
+        loss = _numbers(self._offer, "computing its loss", super().loss, residuals)
         return _require(self._offer, "loss", loss, loss.shape)
 
     def robust_weight(self, residuals: Float) -> Float:
-        with watch(self._offer, "computing robust weights"):
-            weight = _floats(super().robust_weight(residuals))
+        weight = _numbers(self._offer, "computing robust weights", super().robust_weight, residuals)
         return _require_shape(self._offer, "robust weights", weight, (len(self),))
 
     def depth_m(self, camera_from_lidar: Float) -> float:
@@ -149,7 +146,7 @@ def _guarded_class(offer: Offer, cls: Any) -> type[LeastSquares]:
 
 @dataclass(frozen=True, eq=False)
 class GuardedJudge(JudgeBase):
-    """A matcher's own judge whose costs, poses and covariances are checked."""
+    """A matcher's own judge whose costs, poses and covariances are checked; infinite costs are allowed, NaN is not."""
 
     offer: Offer
     judge: Judge
@@ -169,64 +166,50 @@ class GuardedJudge(JudgeBase):
             name, unit = str(judge.name), str(judge.unit)
         return cls(offer, judge, name, unit, capable.camera_errors, capable.min_cells, weights_views)
 
-    @property
-    def _capable(self) -> JudgeBase | None:
-        """The judge if it has optional capabilities."""
-        return self.judge if isinstance(self.judge, JudgeBase) else None
-
     def costs(self, poses: Sequence[Float], /) -> list[float]:
-        """Return the cost of each pose (4, 4), lower is better; infinite costs are allowed, NaN is not."""
-        with watch(self.offer, "judging poses"):
-            costs = np.asarray(self.judge.costs(poses), dtype=np.float64)
+        costs = _numbers(self.offer, "judging poses", self.judge.costs, poses)
         return _require(self.offer, "costs of the judge", costs, (len(poses),)).tolist()  # type: ignore[no-any-return]
 
     def lead(self, best: float, other: float, /) -> tuple[float, str]:
-        """Return the difference of two costs in a unit that a user understands, and the unit."""
         with watch(self.offer, "comparing two costs"):
             lead, unit = self.judge.lead(best, other)
             return float(lead), str(unit)
 
     def on(self, views: Sequence[View], /) -> GuardedJudge:
-        """Return the judge of the same points in moved views."""
         with watch(self.offer, "moving its judge to other views"):
             moved = self.judge.on(views if self.weights_views else one_per_scene(views))
         return GuardedJudge.of(self.offer, moved, weights_views=self.weights_views)
 
     def agreement(self, views: Sequence[View], pose: Float, /) -> Agreement | None:
-        """Return the agreement of views at a pose (4, 4)."""
-        if self._capable is None:
+        if not isinstance(self.judge, JudgeBase):
             return super().agreement(views, pose)
         with watch(self.offer, "computing the agreement"):
-            agreement = self._capable.agreement(views, pose)
-        if agreement is not None:
-            _typed(self.offer, agreement, Agreement)
-        return agreement
+            agreement = self.judge.agreement(views, pose)
+        return None if agreement is None else _typed(self.offer, agreement, Agreement)
 
     def covariance(self, pose: Float, /) -> Float | None:
-        """Return the covariance (6, 6) of a pose (4, 4), None if the judge has none."""
-        if self._capable is None:
-            return None
         with watch(self.offer, "estimating the covariance"):
-            covariance = self._capable.covariance(pose)
-        if covariance is None:
-            return None
-        return _require(self.offer, "covariance of the judge", np.asarray(covariance, np.float64), (6, 6))
+            value = self.judge.covariance(pose) if isinstance(self.judge, JudgeBase) else None
+            covariance = None if value is None else np.asarray(value, np.float64)
+        return None if covariance is None else _require(self.offer, "covariance of the judge", covariance, (6, 6))
 
     def maximised(self, pose: Float, /) -> Float:
-        """Return the pose (4, 4) of the lowest cost near a pose."""
-        if self._capable is None:
+        if not isinstance(self.judge, JudgeBase):
             return pose
         with watch(self.offer, "refining a pose"):
-            best = self._capable.maximised(pose)
+            best = self.judge.maximised(pose)
         return _pose(self.offer, best)
 
     def rivals(self, pose: Float, count: int, /) -> list[Float]:
-        """Return poses (4, 4) of low cost near a pose."""
-        if self._capable is None:
-            return []
         with watch(self.offer, "proposing rivals"):
-            rivals = self._capable.rivals(pose, count)
+            rivals = self.judge.rivals(pose, count) if isinstance(self.judge, JudgeBase) else []
         return [_pose(self.offer, rival) for rival in rivals]
+
+
+def _numbers(offer: Offer, doing: str, function: Callable[..., Any], *given: Any) -> Float:
+    """Return what a function of a plugin computes as an array of floats."""
+    with watch(offer, doing):
+        return _floats(function(*given))
 
 
 def _floats(values: Any) -> Float:
@@ -246,10 +229,10 @@ def _require_shape(offer: Offer, what: str, values: Float, shape: tuple[int, ...
 def _require(offer: Offer, what: str, values: Float, shape: tuple[int, ...], *, finite: bool = False) -> Float:
     """Return values of this shape; raises PluginError for others, and for NaN or, with `finite`, infinities in them."""
     _require_shape(offer, what, values, shape)
-    if np.isnan(values).any() or (finite and np.isinf(values).any()):
-        raise fault(
-            offer, f"{what} returned NaN{' or infinity' if finite else ''}", "finite numbers" if finite else "numbers"
-        )
+    if finite and not np.isfinite(values).all():
+        raise fault(offer, f"{what} returned NaN or infinity", "finite numbers")
+    if np.isnan(values).any():
+        raise fault(offer, f"{what} returned NaN", "numbers")
     return values
 
 
@@ -280,22 +263,42 @@ def build(offer: Offer, options: Options) -> Any:
     """
     with watch(offer, "building"):
         stage = offer.method.build(options)
-    if offer.kind is Kind.DATASET:
-        return GuardedDataset(offer, stage, options)
-    if offer.kind in _CLASSES:
-        return _CLASSES[offer.kind](offer, stage)
-    if not callable(stage):
-        raise fault(offer, f"build returned {type(stage).__name__}", "something to call")
-    return _GUARDS[offer.kind](offer, stage)
+    guarded = _GUARDS[offer.kind]
+    return guarded(offer, stage, options) if offer.kind is Kind.DATASET else guarded(offer, stage)
 
 
-class GuardedDataset(Sequence[Frame]):
+class _Guarded:
+    """A plugin's stage, and its offer, which errors name; `types` are those that it has to have, in words `wanted`."""
+
+    types: tuple[Any, ...] = (Callable,)
+    wanted = "something to call"
+
+    def __init__(self, offer: Offer, stage: Any) -> None:
+        if not isinstance(stage, self.types):
+            raise fault(offer, f"build returned {type(stage).__name__}", self.wanted)
+        self._offer, self._stage = offer, stage
+
+    def _prepared(self, frame: Frame) -> Any:
+        """Return what the method prepares of a frame without truth; raises PluginError for None and for code.
+
+        A function or an iterator would be evaluated later, perhaps in another process or several times.
+        """
+        with watch(self._offer, f"preparing {frame.name}"):
+            value = self._stage.prepare(frame.without_truth())
+        if value is None or inspect.isroutine(value) or inspect.isclass(value) or isinstance(value, Iterator):
+            expected = "the data of the frame that solve() needs, e.g. arrays or a dataclass"
+            raise fault(self._offer, f"prepare returned {type(value).__name__} for {frame.name}", expected)
+        return value
+
+
+class GuardedDataset(_Guarded, Sequence[Frame]):
     """A plugin's dataset whose frames are checked as they are read."""
 
+    types = (Dataset,)
+    wanted = "a p2o.Dataset: names, len() and [index]"
+
     def __init__(self, offer: Offer, dataset: Any, options: Options) -> None:
-        if not isinstance(dataset, Dataset):
-            raise fault(offer, f"build returned {type(dataset).__name__}", "a p2o.Dataset: names, len() and [index]")
-        self._offer, self._dataset = offer, dataset
+        super().__init__(offer, dataset)
         self._sparse = options if isinstance(options, SparseOptions) else SparseOptions()
         with watch(offer, "listing frames"):
             self.names: tuple[str, ...] = tuple(dataset.names)
@@ -321,7 +324,7 @@ class GuardedDataset(Sequence[Frame]):
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]
         with naming(Path(self.names[index])), watch(self._offer, f"reading frame {self.names[index]}"):
-            frame = self._dataset[index]
+            frame = self._stage[index]
         if not isinstance(frame, Frame):
             raise fault(self._offer, f"frame {index} is {type(frame).__name__}", "p2o.Frame")
         if frame.name != self.names[index]:
@@ -336,7 +339,7 @@ class GuardedDataset(Sequence[Frame]):
         This is the optional method `identity(index)` of a dataset, with the name of the dataset and the options that
         all datasets share. Raises PluginError for a value that JSON cannot represent.
         """
-        own = getattr(self._dataset, "identity", None)
+        own = getattr(self._stage, "identity", None)
         with watch(self._offer, f"identifying frame {self.names[index]}"):
             identity = None if own is None else own(index)
         if identity is None:
@@ -355,9 +358,10 @@ def _pose(offer: Offer, value: Any) -> Float:
         raise fault(offer, f"returned no rigid transform: {problem}") from problem
 
 
-def _typed(offer: Offer, value: Any, *wanted: type) -> None:
+def _typed(offer: Offer, value: Any, wanted: type[_T]) -> _T:
     if not isinstance(value, wanted):
-        raise fault(offer, f"returned {type(value).__name__}", " or ".join(f"p2o.{t.__name__}" for t in wanted))
+        raise fault(offer, f"returned {type(value).__name__}", f"p2o.{wanted.__name__}")
+    return value
 
 
 def check_features(offer: Offer, features: Any) -> None:
@@ -376,23 +380,14 @@ def check_features(offer: Offer, features: Any) -> None:
 _FEATURES = {Kind.IMAGE_EXTRACTOR: (ImageFeatures, "image-"), Kind.CLOUD_EXTRACTOR: (CloudFeatures, "cloud-")}
 
 
-def _extractor(offer: Offer, stage: Callable[..., Any]) -> Any:
-    def extract(image_or_cloud: Any, /) -> Any:
-        with _calling(offer, "extracting"):
-            features = stage(image_or_cloud)
-        check_features(offer, features)
+class _GuardedExtractor(_Guarded):
+    """A plugin's extractor whose features are checked."""
+
+    def __call__(self, image_or_cloud: Any, /) -> Any:
+        with _calling(self._offer, "extracting"):
+            features = self._stage(image_or_cloud)
+        check_features(self._offer, features)
         return features
-
-    return extract
-
-
-class _Guarded:
-    """A plugin's stage, and its offer, which errors name."""
-
-    def __init__(self, offer: Offer, stage: Any) -> None:
-        if not callable(stage):
-            raise fault(offer, f"build returned {type(stage).__name__}", "something to call")
-        self._offer, self._stage = offer, stage
 
 
 class GuardedMatcher(_Guarded, MatcherBase):
@@ -410,8 +405,8 @@ class GuardedMatcher(_Guarded, MatcherBase):
         """Return the guarded problem of all views."""
         offer = self._offer
         with _calling(offer, "matching"):
-            problem = self._stage(views if self._weights_views else one_per_scene(views), camera_from_lidar, reach_px)
-        problem = guarded_problem(offer, problem)
+            returned = self._stage(views if self._weights_views else one_per_scene(views), camera_from_lidar, reach_px)
+        problem = guarded_problem(offer, returned)
         if not isinstance(problem, LeastSquares):
             return problem
         frame = np.asarray(problem.frame)
@@ -428,32 +423,18 @@ class GuardedMatcher(_Guarded, MatcherBase):
         return None if judge is None else GuardedJudge.of(self._offer, judge, weights_views=self._weights_views)
 
 
-def _solver(offer: Offer, stage: Callable[..., Any]) -> Any:
-    def solve(problem: Any, camera_from_lidar: Float, /) -> Any:
-        with _calling(offer, "solving"):
-            solution = stage(problem, camera_from_lidar)
-            _typed(offer, solution, Solution)
-            cost, covariance = _floats(solution.cost), solution.covariance
-            covariance = None if covariance is None else _floats(covariance)
-        _require(offer, "cost", cost, ())
+class _GuardedSolver(_Guarded):
+    """A plugin's solver whose solutions are checked."""
+
+    def __call__(self, problem: Any, camera_from_lidar: Float, /) -> Solution:
+        with _calling(self._offer, "solving"):
+            solution = _typed(self._offer, self._stage(problem, camera_from_lidar), Solution)
+            cost = _floats(solution.cost)
+            covariance = None if solution.covariance is None else _floats(solution.covariance)
+        _require(self._offer, "cost", cost, ())
         if covariance is not None:
-            _require_covariance(offer, covariance)
-        return replace(solution, camera_from_lidar=_pose(offer, solution.camera_from_lidar))
-
-    return solve
-
-
-def _prepared(offer: Offer, frame: Frame, prepare: Callable[[Frame], Any]) -> Any:
-    """Return what a method prepares of a frame without truth; raises PluginError for None and for code instead of data.
-
-    A function or an iterator would be evaluated later, perhaps in another process or several times.
-    """
-    with watch(offer, f"preparing {frame.name}"):
-        value = prepare(frame.without_truth())
-    if value is None or inspect.isroutine(value) or inspect.isclass(value) or isinstance(value, Iterator):
-        expected = "the data of the frame that solve() needs, e.g. arrays or a dataclass"
-        raise fault(offer, f"prepare returned {type(value).__name__} for {frame.name}", expected)
-    return value
+            _require_covariance(self._offer, covariance)
+        return replace(solution, camera_from_lidar=_pose(self._offer, solution.camera_from_lidar))
 
 
 class GuardedInitializer(_Guarded, InitializerBase):
@@ -485,46 +466,40 @@ class GuardedInitializer(_Guarded, InitializerBase):
 
     @property
     def start_sigma(self) -> tuple[float, float] | None:
-        """Standard deviation of the initial guess in deg and m, or None."""
         return self._start_sigma
 
     @property
     def reach(self) -> tuple[float, float] | None:
-        """Half sizes of the box of the search in deg and m, or None."""
         return self._reach
 
     @property
     def prepares(self) -> bool:
-        """Whether the method prepares frames."""
         if not isinstance(self._stage, InitializerBase):
             return False
         with watch(self._offer, "reading `prepares`"):
             return bool(self._stage.prepares)
 
     def prepare(self, frame: Frame, /) -> Any:
-        """Return what the method prepares of a frame, which it receives without truth."""
-        if not self.prepares:
-            return None
-        return _prepared(self._offer, frame, self._stage.prepare)
+        """Return what the method prepares of a frame, which it receives without truth; None if it prepares nothing."""
+        return self._prepared(frame) if self.prepares else None
 
 
-class GuardedCalibrator:
+class GuardedCalibrator(_Guarded):
     """A plugin's whole method, with what it prepares of frames; calling it does both.
 
     `prepares` is False for a plain function of frames: it is handed the frames themselves.
     """
 
-    def __init__(self, offer: Offer, stage: Any) -> None:
-        self._offer, self._stage = offer, stage
-        self.prepares = isinstance(stage, Calibrator)
-        if not self.prepares and not callable(stage):
-            raise fault(offer, f"build returned {type(stage).__name__}", "prepare() and solve(), or something to call")
+    types = (Calibrator, Callable)
+    wanted = "prepare() and solve(), or something to call"
+
+    @property
+    def prepares(self) -> bool:
+        return isinstance(self._stage, Calibrator)
 
     def prepare(self, frame: Frame, /) -> Any:
         """Return what the method prepares of a frame, which it sees without its truth."""
-        if not self.prepares:
-            return frame.without_truth()
-        return _prepared(self._offer, frame, self._stage.prepare)
+        return self._prepared(frame) if self.prepares else frame.without_truth()
 
     def solve(self, prepared: Sequence[Any], camera_from_lidar: Float, /) -> Result:
         """Return the result of what was prepared, from a start (4, 4)."""
@@ -532,8 +507,7 @@ class GuardedCalibrator:
         with _calling(self._offer, "calibrating"):
             solve = self._stage.solve if self.prepares else self._stage
             # A plain function reads the frames itself: as a list, all of them would be in memory.
-            result: Result = solve(list(prepared) if self.prepares else prepared, start)
-            _typed(self._offer, result, Result)
+            result = _typed(self._offer, solve(list(prepared) if self.prepares else prepared, start), Result)
             if not isinstance(result.status, Status):
                 raise fault(self._offer, f"the status is {result.status!r:.40}", "a p2o.Status")
             pose = _pose(self._offer, result.camera_from_lidar if result.status.solved else start)
@@ -547,13 +521,14 @@ class GuardedCalibrator:
         return self.solve([self.prepare(frame) for frame in frames], camera_from_lidar)
 
 
-class GuardedAccumulator:
+class _GuardedAccumulator(_Guarded):
     """A plugin's accumulator whose joined sweep is checked."""
 
+    types = (Accumulator,)
+    wanted = "something to call with `past` and `future`"
+
     def __init__(self, offer: Offer, stage: Any) -> None:
-        if not isinstance(stage, Accumulator):
-            raise fault(offer, f"build returned {type(stage).__name__}", "something to call with `past` and `future`")
-        self._offer, self._stage = offer, stage
+        super().__init__(offer, stage)
         with watch(offer, "reading `past` and `future`"):
             past, future = stage.past, stage.future
         for name, count in (("past", past), ("future", future)):
@@ -564,35 +539,34 @@ class GuardedAccumulator:
     def __call__(self, frames: Sequence[Frame], number: int, /) -> Cloud:
         with watch(self._offer, f"joining the sweeps around {frames[number].name}"):
             cloud = self._stage(frames, number)
-        _typed(self._offer, cloud, Cloud)
-        joined: Cloud = cloud
-        return joined
+        return _typed(self._offer, cloud, Cloud)
 
 
-def _exporter(offer: Offer, stage: Callable[..., Any]) -> Any:
-    def export(result: Result, path: Path, /) -> None:
-        with watch(offer, f"writing {path}"):
-            stage(result, path)
+class _GuardedExporter(_Guarded):
+    """A plugin's exporter, whose errors name it."""
 
-    return export
+    def __call__(self, result: Result, path: Path, /) -> None:
+        with watch(self._offer, f"writing {path}"):
+            self._stage(result, path)
 
 
-class GuardedReader:
+class GuardedReader(_Guarded):
     """A plugin's reader of calibration files, whose answers are checked."""
 
+    types = (CalibrationReader,)
+    wanted = "a CalibrationReader"
+
     def __init__(self, offer: Offer, reader: Any) -> None:
-        if not isinstance(reader, CalibrationReader):
-            raise fault(offer, f"build returned {type(reader).__name__}", "a CalibrationReader")
+        super().__init__(offer, reader)
         with watch(offer, "reading its rank"):
-            rank = reader.rank
-        if not isinstance(rank, int):
-            raise fault(offer, f"its rank is {rank!r}", "a whole number")
-        self._offer, self._reader, self.rank = offer, reader, rank
+            self.rank = reader.rank
+        if not isinstance(self.rank, int):
+            raise fault(offer, f"its rank is {self.rank!r}", "a whole number")
 
     def recognises(self, source: Source) -> bool:
         """Return whether a file has the format of the reader."""
         with watch(self._offer, f"recognising {source.path}"):
-            answer = self._reader.recognises(source)
+            answer = self._stage.recognises(source)
         if not isinstance(answer, bool | np.bool_):
             raise fault(self._offer, f"recognises returned {type(answer).__name__}", "True or False")
         return bool(answer)
@@ -605,7 +579,7 @@ class GuardedReader:
         """
         try:
             with watch(self._offer, f"reading {source.path}"):
-                calibration = self._reader.read(source)
+                calibration: Calibration = self._stage.read(source)
         except InputError as problem:
             if problem.where is not None:
                 raise
@@ -614,37 +588,32 @@ class GuardedReader:
             if isinstance(problem.__cause__, RecursionError):
                 raise InputError("the calibration file is nested too deeply", where=source.path) from problem
             raise
-        self._check(calibration)
-        return calibration
-
-    def _check(self, calibration: Any) -> None:
         _typed(self._offer, calibration, Calibration)
         if calibration.camera is not None:
             _typed(self._offer, calibration.camera, Camera)
         texts = (calibration.lidar_frame, calibration.camera_frame, *calibration.remarks)
         if not (isinstance(calibration.remarks, tuple) and all(isinstance(text, str) for text in texts)):
             raise fault(self._offer, "frame names or remarks are not texts", "texts, and a tuple of texts")
+        return calibration
 
     def example(self) -> bytes:
         """Return the content of the reader's example file."""
         with watch(self._offer, "making its example"):
-            content = self._reader.example()
+            content = self._stage.example()
         if not isinstance(content, bytes) or not content:
             raise fault(self._offer, f"example returned {content!r:.40}", "the bytes of a file")
         return content
 
 
-_GUARDS: dict[Kind, Callable[[Offer, Callable[..., Any]], Any]] = {
-    Kind.IMAGE_EXTRACTOR: _extractor,
-    Kind.CLOUD_EXTRACTOR: _extractor,
-    Kind.SOLVER: _solver,
-    Kind.EXPORTER: _exporter,
-}
-
-_CLASSES: dict[Kind, Callable[[Offer, Any], Any]] = {
+_GUARDS: dict[Kind, Callable[..., Any]] = {
+    Kind.DATASET: GuardedDataset,
+    Kind.IMAGE_EXTRACTOR: _GuardedExtractor,
+    Kind.CLOUD_EXTRACTOR: _GuardedExtractor,
     Kind.MATCHER: GuardedMatcher,
+    Kind.SOLVER: _GuardedSolver,
     Kind.INITIALIZER: GuardedInitializer,
     Kind.CALIBRATOR: GuardedCalibrator,
-    Kind.ACCUMULATOR: GuardedAccumulator,
+    Kind.ACCUMULATOR: _GuardedAccumulator,
+    Kind.EXPORTER: _GuardedExporter,
     Kind.CALIBRATION_READER: GuardedReader,
 }

@@ -49,11 +49,6 @@ class Slot:
     syntax: str = "--set {stage}.{field}={value}"
 
     @property
-    def hook(self) -> str:
-        """Name of the hook that offers its methods."""
-        return self.kind.hook
-
-    @property
     def option(self) -> str:
         """The option of the command line that chooses a method, such as --matcher."""
         return f"--{self.word}"
@@ -87,9 +82,6 @@ SLOT_OF = {slot.kind: slot for slot in SLOTS}
 
 KIND_OF = {slot.stage: slot.kind for slot in SLOTS if slot.in_recipe}
 """The kind of method that each stage of a recipe takes."""
-
-STAGE_OF = {kind: stage for stage, kind in KIND_OF.items()}
-"""The word before the dot in --set, by kind of method; exporters and readers have none."""
 
 STAGES = (*KIND_OF, "pipeline")
 """The stages that options are set for: those of methods, and the pipeline that runs them."""

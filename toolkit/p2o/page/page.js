@@ -47,7 +47,7 @@ class Table {
   constructor(spec) {
     Object.assign(this, { spec, columns: used(spec.columns), most: MOST, watchers: [], shown: new Set(), every: false, words: [] });
     this.rows = spec.rows.map((cells, place) => ({ cells, place, text: cells.filter((_, i) => i !== this.place(spec.group)).flat().map((cell) => (isCell(cell) ? `${cell.t ?? cell.v} ${cell.s ?? ""}` : cell)).join(" ").toLowerCase() }));
-    [this.key, this.down] = spec.sort ? [this.place(spec.sort[0]), spec.sort[1]] : [null, false];
+    [this.key, this.down] = [null, false];
     this.wanted = new Map();
     this.empty = this.columns.map((_, i) => this.rows.length > 0 && this.rows.every(({ cells }) => cells[i] === null));
     if (spec.name) tables.set(spec.name, this);

@@ -19,6 +19,11 @@ class CheckStatus(StrEnum):
     CANNOT_TELL = "cannot-tell"
 
 
+def size_text(unit: str, size: float, spec: str = "") -> str:
+    """Return a size in deg or m as text, in degrees or centimetres; `spec` is "+" for a sign."""
+    return f"{size:{spec}.2f} deg" if unit == "deg" else f"{100 * size:{spec}.1f} cm"
+
+
 @dataclass(frozen=True)
 class AxisCheck:
     """One camera axis: `axis` is roll, pitch, yaw, x, y or z, and numbers are in `unit`, deg or m.

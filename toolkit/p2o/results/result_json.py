@@ -32,15 +32,9 @@ def result_to_dict(result: Result) -> dict[str, Any]:
     return {**_SCHEMAS[Result].plain(result), "figures": json_tree("figures", figure_values(result))}
 
 
-def rig_to_dict(result: RigResult) -> dict[str, Any]:
-    """Return the common result of a rig as dicts, lists, numbers, texts and None, in the order of its fields."""
-    plain: dict[str, Any] = _SCHEMAS[RigResult].plain(result)
-    return plain
-
-
-def check_to_dict(check: Check | Watch) -> dict[str, Any]:
-    """Return the check of an extrinsic as dicts, lists, numbers, texts and None, in the order of its fields."""
-    plain: dict[str, Any] = _SCHEMAS[type(check)].plain(check)
+def to_dict(value: RigResult | Check | Watch) -> dict[str, Any]:
+    """Return the common result of a rig, or a check, as dicts, lists, numbers, texts and None, fields in order."""
+    plain: dict[str, Any] = _SCHEMAS[type(value)].plain(value)
     return plain
 
 

@@ -23,7 +23,7 @@ from p2o.host.slots import WIDE, WITNESS, WITNESS_STAGES
 from p2o.host.stages import Initializer, InitializerBase
 from p2o.options import Options
 from p2o.results.result import Result
-from p2o.run.pipeline import STAGES, Clock, Pipeline, Remarks, with_remarks
+from p2o.run.pipeline import STAGES, Clock, Pipeline, with_remarks
 from p2o.run.read_again import FrameInfo, cache_key, without_truth
 from p2o.run.wide import solve_widely
 from p2o.runtime.native import for_each, keep_freed_memory
@@ -116,17 +116,16 @@ class Assembly:
             # One access a frame: large sets of frames are read again at each.
             prepare = counted(STAGES["extract"], self._prepare, len(frames))
             prepared = for_each(prepare, frames, parallel=self.parallel)
-        infos, own_pieces, remarks = zip(*prepared, strict=True)
+        infos, own_pieces = zip(*prepared, strict=True)
         pieces = without_truth(frames) if self.reads_frames else own_pieces
         result = self.calibrated(infos, pieces, camera_from_lidar)
         result = self.checked(result, infos, lambda number: self._pieces(frames[number], WITNESS))
-        return with_remarks(replace(result, seconds={**clock.seconds, **result.seconds}), remarks)
+        return with_remarks(replace(result, seconds={**clock.seconds, **result.seconds}), infos)
 
-    def _prepare(self, frame: Frame) -> tuple[FrameInfo, dict[str, Any], Remarks]:
-        """Return the info of a frame, the outputs of all stages except the independent check, and its remarks."""
-        info = FrameInfo(frame.name, frame.camera, twist=frame.twist)
+    def _prepare(self, frame: Frame) -> tuple[FrameInfo, dict[str, Any]]:
+        """Return the info of a frame and the outputs of all stages except the independent check."""
         own = [stage for stage in self.stages if stage not in WITNESS]
-        return info, self._pieces(frame, own), Remarks.of(frame)
+        return FrameInfo.of(frame, "twist"), self._pieces(frame, own)
 
     def _pieces(self, frame: Frame, stages: Iterable[str]) -> dict[str, Any]:
         """Return what stages prepare of a frame."""
@@ -193,8 +192,7 @@ class Assembly:
             view = self.calibrator.view(frame.name, frame.camera, pieces["extractor"], pieces["cloud"], frame.twist)
             if view.image.edges is not None or not all(stage in self.stages for stage in WITNESS):
                 return view
-        info = FrameInfo(frame.name, frame.camera, twist=frame.twist)
-        return self._witness_view(info, lambda: self._pieces(frame, WITNESS))
+        return self._witness_view(FrameInfo.of(frame, "twist"), lambda: self._pieces(frame, WITNESS))
 
 
 def _witness(parts: Mapping[str, Part], built: Mapping[str, Any]) -> Algorithm | None:

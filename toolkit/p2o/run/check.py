@@ -20,7 +20,7 @@ from p2o.geometry.perturb import parse_accuracy
 from p2o.geometry.rough_start import is_rough_start
 from p2o.host.calibration_file import InitialGuess, read_calibration
 from p2o.host.registry import Registry
-from p2o.results.check import Check, CheckStatus, Slip, Watch
+from p2o.results.check import Check, CheckStatus, Slip, Watch, size_text
 from p2o.run.initial_guess import common_pose, one_camera
 from p2o.run.pipeline import Pipeline
 from p2o.run.recipe import Plan
@@ -226,7 +226,7 @@ def _of_drive(slips: Sequence[Slip], telling: int, count: int) -> tuple[CheckSta
     """Return the status of a drive, and the reason."""
     if slips:
         first = slips[0]
-        size = f"{first.size:+.2f} deg" if first.unit == "deg" else f"{100 * first.size:+.1f} cm"
+        size = size_text(first.unit, first.size, "+")
         return CheckStatus.OFF, f"{first.axis} slipped by about {size}, noticed at {first.noticed_frame}"
     if 2 * telling < count:
         return CheckStatus.CANNOT_TELL, f"{count - telling} of {count} frames give no estimate"

@@ -9,7 +9,7 @@ from p2o.errors import InputError
 from p2o.frames.frame import Frame
 from p2o.host.method import Kind
 from p2o.host.registry import Offer, Registry
-from p2o.host.slots import SLOTS, STAGE_OF
+from p2o.host.slots import SLOT_OF
 from p2o.run.presets import presets
 
 
@@ -65,8 +65,6 @@ _ALSO = {"objective": ("pairs", "residuals"), "residuals": ("pairs",)}
 LOST = frozenset({"rings", "time", "twist"})
 """Content that an accumulated frame does not have."""
 
-_OPTION_OF = {slot.kind: slot.option for slot in SLOTS}
-
 
 def misfit_of(offers: Mapping[str, Offer], contents: frozenset[str] | None = None) -> tuple[str, Offer, Offer] | None:
     """Return the first word that is needed and not given: the word, who should give it, who needs it.
@@ -106,16 +104,13 @@ def suggest_alternative(
     offers: Mapping[str, Offer], registry: Registry, user: Offer, contents: frozenset[str] | None = None
 ) -> str:
     """Suggest a compatible replacement of the method `user`, or state that there is none."""
-    stage = STAGE_OF[user.kind]
-    fitting = [o for o in registry.of_kind(user.kind) if misfit_of({**offers, stage: o}, contents) is None]
+    slot = SLOT_OF[user.kind]
+    fitting = [o for o in registry.of_kind(user.kind) if misfit_of({**offers, slot.stage: o}, contents) is None]
     if not fitting:
         return f"no installed {user.kind} fits in its place (`p2o methods --matrix` shows what does)"
-    names = [offer.name for offer in fitting[:4]]
-    if user.kind == Kind.IMAGE_EXTRACTOR:
-        names = [f"{name}/{offers['cloud'].name}" for name in names]
-    elif user.kind == Kind.CLOUD_EXTRACTOR:
-        names = [f"{offers['extractor'].name}/{name}" for name in names]
-    return f"try {_OPTION_OF[user.kind]} {' or '.join(names)}"
+    beside = {stage: offer.name for stage, offer in offers.items()}
+    names = [slot.spec(offer.name, beside) for offer in fitting[:4]]
+    return f"try {slot.option} {' or '.join(names)}"
 
 
 def check_fit(offers: Mapping[str, Offer], registry: Registry) -> None:

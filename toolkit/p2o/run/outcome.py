@@ -12,7 +12,7 @@ from p2o.arrays import Float
 from p2o.errors import InputError
 from p2o.geometry.pose_error import PoseError, pose_error, summarise
 from p2o.results.result import Result, RigResult
-from p2o.results.result_json import result_to_dict, rig_to_dict
+from p2o.results.result_json import result_to_dict, to_dict
 from p2o.results.verdict import Trust
 from p2o.run.protocol import Protocol
 
@@ -124,7 +124,7 @@ class Run:
 
     def _rig_dict(self, rig: RigResult) -> dict[str, Any]:
         """Return the common result with its errors, by camera and summarised."""
-        errors, plain = self.rig_errors, rig_to_dict(rig)
+        errors, plain = self.rig_errors, to_dict(rig)
         plain["cameras"] = [{**camera, "error": _error_dict(errors.get(camera["name"]))} for camera in plain["cameras"]]
         return {**plain, "error": summarise(list(errors.values()))}
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -19,29 +19,16 @@ from p2o.geometry import se3
 from p2o.geometry.camera import Camera
 from p2o.host.stages import CloudExtractor, ImageExtractor, InitializerBase
 from p2o.results.result import Result
+from p2o.run.read_again import FrameInfo, frame_infos
 from p2o.runtime.stages import counted, report_stage
 
 
-@dataclass(frozen=True)
-class Remarks:
-    """The warnings and the advice of a frame, each with the frame's name."""
-
-    warnings: tuple[str, ...]
-    advice: tuple[str, ...]
-
-    @classmethod
-    def of(cls, frame: Frame) -> Remarks:
-        """Return the remarks of a frame."""
-        return cls(*(tuple(f"{frame.name}: {text}" for text in texts) for texts in (frame.warnings, frame.advice)))
-
-
-def with_remarks(result: Result, remarks: Iterable[Remarks]) -> Result:
+def with_remarks(result: Result, frames: Sequence[Frame | FrameInfo]) -> Result:
     """Return a result with the warnings of its frames, and with their advice unless it is trusted."""
-    remarks = tuple(remarks)
-    warnings = [text for one in remarks for text in one.warnings]
+    remarks = [f"{frame.name}: {text}" for frame in frames for text in frame.warnings]
     if not result.verdict.trusted:
-        warnings += [text for one in remarks for text in one.advice]
-    return replace(result, warnings=(*warnings, *result.warnings))
+        remarks += [f"{frame.name}: {text}" for frame in frames for text in frame.advice]
+    return replace(result, warnings=(*remarks, *result.warnings))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +49,7 @@ class Pipeline(Algorithm):
         with clock.of("extract"):
             views = [*map(counted(STAGES["extract"], self.prepare, len(frames)), frames)]
         result = self.solve(views, camera_from_lidar)
-        return with_remarks(replace(result, seconds={**clock.seconds, **result.seconds}), map(Remarks.of, frames))
+        return with_remarks(replace(result, seconds={**clock.seconds, **result.seconds}), frame_infos(frames))
 
     def solve(self, views: Sequence[View], camera_from_lidar: Float) -> Result:
         """Calibrate prepared views jointly from an initial extrinsic (4, 4): Algorithm 1, then its assessment."""

@@ -77,13 +77,17 @@ class FrameInfo:
     start: Float | None = None
     twist: Float | None = None
     cloud: Cloud | None = None
+    warnings: tuple[str, ...] = ()
+    advice: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, frame: Frame, *names: str) -> FrameInfo:
+        """Return the info of a frame: name, camera, remarks, and the fields of these names."""
+        kept = {name: getattr(frame, name) for name in ("warnings", "advice", *names)}
+        return cls(frame.name, frame.camera, **kept)
 
 
 def frame_infos(frames: Sequence[Frame]) -> list[FrameInfo]:
     """Return the infos of frames, each of them read once; the first one keeps its sweep."""
-    infos: list[FrameInfo] = []
-    for frame in frames:
-        cloud = None if infos else frame.cloud
-        poses = frame.camera_from_lidar, frame.start
-        infos.append(FrameInfo(frame.name, frame.camera, frame.camera_name, *poses, cloud=cloud))
-    return infos
+    names = ("camera_name", "camera_from_lidar", "start")
+    return [FrameInfo.of(frame, *names, *(() if number else ("cloud",))) for number, frame in enumerate(frames)]

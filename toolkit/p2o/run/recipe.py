@@ -88,18 +88,15 @@ class Recipe(BaseModel):
         parts |= _witness(self, parts, registry) | _wide(self, registry)
         pipeline = self._pipeline(parts)
         check_fit({stage: part.offer for stage, part in parts.items()}, registry)
-        rig = self._rig(registry)
+        rig: Rig | None = None
+        if self.rig is not False:
+            from p2o.run.rig import Rig
+
+            rig = Rig.of(self.rig, registry)
         if rig is not None and self.joint:
             expected = "no --joint beside it: the frames of a camera are solved together in any case"
             raise InputError("a rig has one result for each camera", where="--rig", expected=expected)
         return Plan(self, parts, pipeline, registry, rig, guess)
-
-    def _rig(self, registry: Registry) -> Rig | None:
-        if self.rig is False:
-            return None
-        from p2o.run.rig import Rig
-
-        return Rig.of(self.rig, registry)
 
     def _initial_guess(self, registry: Registry) -> InitialGuess | None:
         """Return the initial guess of `start`; raises InputError for one beside a perturbation, or a bad one."""
@@ -167,9 +164,21 @@ def _wide(recipe: Recipe, registry: Registry) -> dict[str, Part]:
     searches = recipe.calibrator is None and recipe.init == Recipe.model_fields["init"].default
     if not (searches and recipe.start is not None and is_rough_start(recipe.start)):
         return {}
+    return _installed(recipe, {WIDE: (Kind.INITIALIZER, _WIDE_SEARCH)}, registry)
+
+
+def _installed(
+    recipe: Recipe, methods: Mapping[str, tuple[Kind, str]], registry: Registry, *, required: bool = False
+) -> dict[str, Part]:
+    """Return methods of further stages; none if one of them is not installed, unless they are `required`."""
     try:
-        return {WIDE: part_of(registry.find(Kind.INITIALIZER, _WIDE_SEARCH), WIDE, {}, recipe.seed)}
+        return {
+            stage: part_of(registry.find(kind, name), stage, recipe.options.get(stage, {}), recipe.seed)
+            for stage, (kind, name) in methods.items()
+        }
     except UnknownNameError:
+        if required:
+            raise
         return {}
 
 
@@ -181,16 +190,11 @@ def _witness(recipe: Recipe, parts: Mapping[str, Part], registry: Registry) -> d
     """
     if recipe.witness == "none" or (recipe.witness is None and checks_itself(parts)):
         return {}
-    names = _pair("--witness", recipe.witness or Recipe().extractor)
-    extractors: dict[str, Part] = {}
-    try:
-        for stage, kind, name in zip(WITNESS, (Kind.IMAGE_EXTRACTOR, Kind.CLOUD_EXTRACTOR), names, strict=True):
-            values = recipe.options.get(stage, {})
-            extractors[stage] = part_of(registry.find(kind, name), stage, values, recipe.seed)
-    except UnknownNameError:
-        if recipe.witness is None:
-            return {}
-        raise
+    image, cloud = _pair("--witness", recipe.witness or Recipe().extractor)
+    names = {WITNESS[0]: (Kind.IMAGE_EXTRACTOR, image), WITNESS[1]: (Kind.CLOUD_EXTRACTOR, cloud)}
+    extractors = _installed(recipe, names, registry, required=recipe.witness is not None)
+    if not extractors:
+        return {}
     beside = {"data": parts["data"].offer} if "data" in parts else {}
     offers = {**beside, "extractor": extractors["witness"].offer, "cloud": extractors["witness-cloud"].offer}
     if recipe.witness is not None:
@@ -206,14 +210,9 @@ def _witness_stages(
     """Return the other stages of the independent check; none if its edges have no sides."""
     if not all("side" in part.offer.method.gives for part in witness.values()):
         return {}
-    try:
-        parts = {
-            of: part_of(registry.find(KIND_OF[stage], Recipe.model_fields[stage].default), of, {}, recipe.seed)
-            for stage, of in WITNESS_STAGES.items()
-        }
-    except UnknownNameError:
-        return {}
-    beside = {stage: parts[of].offer for stage, of in WITNESS_STAGES.items()}
+    names = {of: (KIND_OF[stage], Recipe.model_fields[stage].default) for stage, of in WITNESS_STAGES.items()}
+    parts = _installed(recipe, names, registry)
+    beside = {stage: parts[of].offer for stage, of in WITNESS_STAGES.items() if parts}
     return parts if misfit_of({**offers, **beside}) is None else {}
 
 
