@@ -92,9 +92,10 @@ def test_a_change_at_a_service_is_reported_by_axis(tmp_path: Path) -> None:
     filled(store, "a", noise(0, 20), service="")
     after = noise(1, 20) + [0.12, 0, 0, 0, 0, 0]
     store.add(evidence(drive("a", n, service="windscreen"), e).row() for n, e in zip(range(20, 40), after, strict=True))
-    [change] = fleet_state(store).services
-    assert (change.vehicle, change.service, change.time) == ("a", "windscreen", BEGIN + 8640 * 20)
-    [axis] = change.axes
+    before, changed = fleet_state(store).extrinsics
+    assert (changed.vehicle, changed.service, changed.first) == ("a", "windscreen", BEGIN + 8640 * 20)
+    assert before.change == ()
+    [axis] = changed.change
     assert axis.axis == "roll"
     assert axis.low < 0.12 < axis.high
 

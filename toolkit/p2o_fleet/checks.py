@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,11 +11,11 @@ from p2o.arrays import Bool, Float, Int
 from p2o.confidence.audit import AXES
 from p2o.errors import InputError, printable
 
-from p2o_fleet.drive import TEMPERATURES
-from p2o_fleet.evidence import ERROR_COLUMNS, UPPER, Evidence, Verdict, arrow_schema
-from p2o_fleet.parquet_file import MAX_TEXT, check_texts
+from p2o_fleet.drive import MAX_TEXT, TEMPERATURES
+from p2o_fleet.evidence import COLUMNS, ERROR_COLUMNS, UPPER, Verdict, arrow_schema
+from p2o_fleet.parquet_file import check_texts
 
-TEXTS = tuple(one.name for one in fields(Evidence) if one.type in ("str", "Verdict") and one.name != "vehicle")
+TEXTS = tuple(name for name, kind in COLUMNS.items() if kind in (str, Verdict) and name != "vehicle")
 """Columns of texts, without that of the vehicle."""
 READ = ("vehicle", "time", *TEXTS, "temperature_c", *ERROR_COLUMNS, "covariance", "camera_from_lidar", "frame_count")
 """Columns that `Checks.of` needs."""

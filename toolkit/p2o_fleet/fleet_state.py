@@ -22,17 +22,7 @@ from p2o_fleet.checks import Checks
 from p2o_fleet.evidence import Verdict
 from p2o_fleet.noise import PairNoise, Samples, estimate_noise, sampled
 from p2o_fleet.segments import Extrinsic, Pair, Segment, segments_of
-from p2o_fleet.statistics import (
-    MeanError,
-    NoiseModel,
-    Systematic,
-    conditional,
-    discoveries,
-    e_process,
-    mean_error,
-    onset,
-    systematic,
-)
+from p2o_fleet.statistics import MeanError, conditional, discoveries, e_process, mean_error, onset, systematic
 from p2o_fleet.store import Store
 
 _RECENT = 5
@@ -51,6 +41,7 @@ _DAY_S = 86400.0
 """Tolerance of the clocks of vehicles."""
 _HISTORY = 240
 """Maximum number of checks in the history of an extrinsic."""
+_AXIS = {name: number for number, (name, _) in enumerate(AXES)}
 
 
 class FleetStatus(StrEnum):
@@ -117,7 +108,6 @@ class Alarm:
     since: float
     since_first: float
     since_last: float
-    log_e: float
     proposal: Float
     checks: int
     frames: int
@@ -135,7 +125,6 @@ class History:
     """
 
     time: Float
-    verdict: tuple[str, ...]
     error: Float
     sigma: Float
     log_e: Float
@@ -143,7 +132,10 @@ class History:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ExtrinsicState(Extrinsic):
-    """The state of one extrinsic of one vehicle, between two services, over all its checks."""
+    """The state of one extrinsic of one vehicle, between two services, over all its checks.
+
+    `change` are the significant changes of its error at the service with which it begins: after minus before.
+    """
 
     first: float
     last: float
@@ -157,23 +149,12 @@ class ExtrinsicState(Extrinsic):
     mean: MeanError | None
     alarm: Alarm | None
     history: History
+    change: tuple[AxisError, ...] = ()
 
     @property
     def total_log_e(self) -> float:
         """Return the log e-value of the whole extrinsic: the mean over the axes."""
         return float(np.logaddexp.reduce(self.log_e) - np.log(len(AXES))) if len(self.log_e) else 0.0
-
-
-@dataclass(frozen=True)
-class ServiceChange:
-    """The change of the error of an extrinsic at a service: errors after minus before, of significant axes only."""
-
-    vehicle: str
-    camera: str
-    lidar: str
-    service: str
-    time: float
-    axes: tuple[AxisError, ...]
 
 
 @dataclass(frozen=True)
@@ -196,19 +177,25 @@ class TypeState:
 
 @dataclass(frozen=True, eq=False)
 class FleetState:
-    """The state of a fleet: all extrinsics, types, and changes at services.
+    """The state of a fleet: all extrinsics and types.
 
-    `checks` is the number of all checks, `until` the time of the last one. `remarks` are checks, files and lines that
-    were set aside, with the reason.
+    `remarks` are checks, files and lines that were set aside, with the reason.
     """
 
     rules: FleetRules
     extrinsics: tuple[ExtrinsicState, ...]
     types: tuple[TypeState, ...]
-    services: tuple[ServiceChange, ...]
-    checks: int
-    until: float
     remarks: tuple[str, ...] = ()
+
+    @property
+    def checks(self) -> int:
+        """Return the number of all checks."""
+        return sum(state.checks for state in self.extrinsics)
+
+    @property
+    def until(self) -> float:
+        """Return the time of the last check."""
+        return max((state.last for state in self.extrinsics), default=0.0)
 
     @property
     def alarms(self) -> tuple[ExtrinsicState, ...]:
@@ -235,7 +222,7 @@ def fleet_state(
     jobs = [_VehiclesJob(store, names[n : n + _PER_JOB], rules, now) for n in range(0, len(names), _PER_JOB)]
     with (workers or Workers()).start() as run:
         with contextlib.closing(run(_sampled, jobs, _lost)) as samples:
-            noise = estimate_noise(samples, tuple(rules.sizes("tolerance").tolist()))
+            noise = estimate_noise(samples)
         jobs = [replace(job, noise=noise) for job in jobs]
         with contextlib.closing(run(_evaluated, jobs, _lost)) as results:
             every = sorted((one for own in results for one in own), key=lambda one: one[0])
@@ -243,11 +230,9 @@ def fleet_state(
     states = _in_use(_with_alarms([state for _, own, _ in every for state in own], rules))
     if remarks and not states:
         raise InputError("no evidence of the store can be read", where=store.root, got=remarks[0])
-    until = max((state.last for state in states), default=0.0)
     types = _types(states, noise, rules)
-    states = [_attributed(state, types) for state in states]
-    services = tuple(_service_changes(states))
-    return FleetState(rules, tuple(states), types, services, sum(state.checks for state in states), until, remarks)
+    states = [_attributed(state, types) for state in _with_changes(states)]
+    return FleetState(rules, tuple(states), types, remarks)
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,12 +275,12 @@ def _state(segment: Segment, noise: PairNoise | None, rules: FleetRules, now: fl
     """Return the state of a segment before the false discovery rate of the fleet is known."""
     checks = segment.checks
     own = checks.take(np.flatnonzero(checks.usable))
-    noise = noise or PairNoise(NoiseModel(tolerance=tuple(rules.sizes("tolerance").tolist())))
-    error, covariance = noise.without_trend(own), own.covariance * noise.model.inflation
+    noise = noise or PairNoise()
+    error, covariance = noise.without_trend(own), noise.covariance_of(own)
     shown = np.unique(np.linspace(0, len(checks) - 1, min(len(checks), _HISTORY)).round().astype(int))
     known = np.cumsum(checks.usable)[shown]
     logs = np.zeros((len(shown), len(AXES)))
-    logs[known > 0] = e_process(error, own.covariance, noise.model, known[known > 0] - 1)
+    logs[known > 0] = e_process(error, covariance, rules.sizes("tolerance"), known[known > 0] - 1)
     texts = checks.texts
     state = ExtrinsicState(
         **{one.name: getattr(segment, one.name) for one in fields(Extrinsic)},
@@ -333,7 +318,7 @@ def _history(checks: Checks, shown: Any, known: Any, error: Float, covariance: F
     at = known[usable] - 1
     errors[usable], sigmas[usable] = error[at], np.sqrt(np.einsum("tii->ti", covariance[at]))
     total = np.logaddexp.reduce(logs, axis=1) - np.log(len(AXES))
-    return History(checks.time[shown], tuple(map(str, checks.texts["verdict"][shown])), errors, sigmas, total)
+    return History(checks.time[shown], errors, sigmas, total)
 
 
 def _with_alarms(candidates: Sequence[ExtrinsicState], rules: FleetRules) -> list[ExtrinsicState]:
@@ -384,8 +369,7 @@ def _ended(alarm: Alarm, later: ExtrinsicState) -> bool:
         return False
     undone = alarm.present.error - later.mean.error
     significant = _SIGNIFICANT * np.sqrt(later.mean.sigma**2 + alarm.present.sigma**2)
-    at = {name: number for number, (name, _) in enumerate(AXES)}
-    return any(np.sign(one.size) * undone[at[one.axis]] > significant[at[one.axis]] for one in alarm.axes)
+    return any(np.sign(one.size) * undone[_AXIS[one.axis]] > significant[_AXIS[one.axis]] for one in alarm.axes)
 
 
 def _alarm(
@@ -404,23 +388,21 @@ def _alarm(
         change, spread = change - before.error, spread + before.covariance
     axes, *alternatives = _explained(axis, change, spread, rules)
     proposal = pose
-    index = {name: number for number, (name, _) in enumerate(AXES)}
     for part in axes:
-        proposal = corrected(proposal, index[part.axis], np.array([part.size]))[0]
+        proposal = corrected(proposal, _AXIS[part.axis], np.array([part.size]))[0]
     data = own.texts["data"].tolist()
     proof = tuple(dict.fromkeys([*data[max(0, began.index - 1) : began.index], *data[-3:]]))
     return Alarm(
-        axes,
-        tuple(alternatives),
-        float(own.time[began.index]),
-        float(own.time[began.first]),
-        float(own.time[began.last]),
-        state.total_log_e,
-        proposal,
-        len(own) - began.index,
-        int(own.frame_count[began.index :].sum()),
-        proof,
-        after,
+        axes=axes,
+        alternatives=tuple(alternatives),
+        since=float(own.time[began.index]),
+        since_first=float(own.time[began.first]),
+        since_last=float(own.time[began.last]),
+        proposal=proposal,
+        checks=len(own) - began.index,
+        frames=int(own.frame_count[began.index :].sum()),
+        proof=proof,
+        present=after,
     )
 
 
@@ -467,7 +449,7 @@ def _types(
         if state.current and state.mean is not None:
             groups.setdefault(state.pair, []).append(state)
     tolerance = rules.sizes("type_tolerance")
-    tests: dict[Pair, Systematic] = {}
+    tests = {}
     for pair, group in groups.items():
         if len(group) >= _MIN_VEHICLES:
             means = [state.mean for state in group if state.mean is not None]
@@ -476,7 +458,7 @@ def _types(
     alarms = dict(zip(tests, rejected.reshape(-1, len(AXES)), strict=True))
     types = []
     for pair, group in sorted(groups.items()):
-        test, own = tests.get(pair), noise.get(pair)
+        test, own = tests.get(pair), noise.get(pair, PairNoise())
         errors = () if test is None else _axis_errors(range(len(AXES)), test.error, test.sigma)
         types.append(
             TypeState(
@@ -485,8 +467,8 @@ def _types(
                 errors,
                 tuple(error for error, is_alarm in zip(errors, alarms.get(pair, ()), strict=False) if is_alarm),
                 () if test is None else tuple(map(float, test.log_e)),
-                (1.0,) * len(AXES) if own is None else own.model.scale,
-                () if own is None else tuple(own.trend_texts()),
+                own.scale,
+                tuple(own.trend_texts()),
             )
         )
     return tuple(types)
@@ -507,15 +489,15 @@ def _attributed(state: ExtrinsicState, types: Sequence[TypeState]) -> ExtrinsicS
     return replace(state, alarm=replace(state.alarm, systematic=same))
 
 
-def _service_changes(states: Sequence[ExtrinsicState]) -> Iterator[ServiceChange]:
-    """Yield the significant changes of an extrinsic at services (99.9 %)."""
+def _with_changes(states: Sequence[ExtrinsicState]) -> Iterator[ExtrinsicState]:
+    """Yield the states with the significant changes at services (99.9 %)."""
+    yield from states[:1]
     for before, after in pairwise(states):
         same = (before.vehicle, *before.pair, before.digest) == (after.vehicle, *after.pair, after.digest)
         if not same or before.service == after.service or before.mean is None or after.mean is None:
+            yield after
             continue
         change = after.mean.error - before.mean.error
         sigma = np.sqrt(after.mean.sigma**2 + before.mean.sigma**2)
         axes = np.flatnonzero(np.abs(change) > _SIGNIFICANT * sigma)
-        if len(axes):
-            errors = _axis_errors(axes.tolist(), change[axes], sigma)
-            yield ServiceChange(after.vehicle, after.camera, after.lidar, after.service, after.first, errors)
+        yield replace(after, change=_axis_errors(axes.tolist(), change[axes], sigma))

@@ -13,7 +13,7 @@ from p2o.frames.selection import spread
 
 from p2o_fleet.checks import Checks
 from p2o_fleet.segments import Pair, segments_of
-from p2o_fleet.statistics import NoiseModel, Trend, local_deviations, noise_scale, trend
+from p2o_fleet.statistics import Trend, local_deviations, noise_scale, trend
 from p2o_fleet.store import Store
 
 COVARIATES = ("degree Celsius", "sine of the time of day", "cosine of the time of day")
@@ -26,11 +26,18 @@ _DAY_S = 86400.0
 
 @dataclass(frozen=True, eq=False)
 class PairNoise:
-    """Noise of a type and pair of sensors: `model`, and the `trend` about the `reference` (3,) of the covariates."""
+    """How errors of checks of a type and pair of sensors vary at a constant extrinsic.
 
-    model: NoiseModel
+    `scale` (6,) multiplies their predicted deviations; `trend` is about the `reference` (3,) of the covariates.
+    """
+
+    scale: tuple[float, ...] = (1.0,) * len(AXES)
     trend: Trend | None = None
     reference: Float = field(default_factory=lambda: np.zeros(len(COVARIATES)))
+
+    def covariance_of(self, checks: Checks) -> Float:
+        """Return the covariances (T, 6, 6) of checks with this noise."""
+        return np.asarray(checks.covariance * np.outer(self.scale, self.scale))
 
     def without_trend(self, checks: Checks) -> Float:
         """Return the errors (T, 6) of checks without the significant trends; unknown covariates change nothing."""
@@ -75,13 +82,13 @@ def sampled(store: Store, vehicles: Sequence[str], now: float) -> Samples:
     return samples
 
 
-def estimate_noise(samples: Iterable[Samples], tolerance: tuple[float, ...]) -> dict[Pair, PairNoise]:
+def estimate_noise(samples: Iterable[Samples]) -> dict[Pair, PairNoise]:
     """Estimate noise and trends of each type and pair of sensors from sampled checks of all vehicles."""
     every: Samples = {}
     for part in samples:
         for pair, own in part.items():
             every.setdefault(pair, []).extend(own)
-    return {pair: _pair_noise(own, tolerance) for pair, own in every.items()}
+    return {pair: _pair_noise(own) for pair, own in every.items()}
 
 
 def covariates_of(checks: Checks) -> Float:
@@ -90,26 +97,26 @@ def covariates_of(checks: Checks) -> Float:
     return np.column_stack([checks.temperature_c, np.sin(angle), np.cos(angle)])
 
 
-def _pair_noise(samples: Sequence[Sample], tolerance: tuple[float, ...]) -> PairNoise:
-    model = NoiseModel(noise_scale([sample.deviations for sample in samples]), tolerance)
+def _pair_noise(samples: Sequence[Sample]) -> PairNoise:
+    scale = noise_scale([sample.deviations for sample in samples])
     every = np.concatenate([sample.covariates for sample in samples])
     known = np.isfinite(every).mean(axis=0) > 0.5
     columns = [
         number for number in np.flatnonzero(known) if np.nanmax(every[:, number]) - np.nanmin(every[:, number]) > 0.2
     ]
     if not columns or len(samples) < _MIN_VEHICLES:
-        return PairNoise(model)
+        return PairNoise(scale)
     parts = [
-        (error[rows], sigma[rows] * np.array(model.scale), values[rows][:, columns])
+        (error[rows], sigma[rows] * np.array(scale), values[rows][:, columns])
         for _, error, sigma, values in samples
         if (rows := np.isfinite(values[:, columns]).all(axis=1)).sum() > 1
     ]
     errors, sigmas, covariates = ([part[n] for part in parts] for n in range(3))
     slopes = trend(errors, sigmas, covariates) if len(parts) >= _MIN_VEHICLES else None
     if slopes is None:
-        return PairNoise(model)
+        return PairNoise(scale)
     full = Trend(np.zeros((len(AXES), len(COVARIATES))), np.full((len(AXES), len(COVARIATES)), np.inf))
     full.slope[:, columns], full.sigma[:, columns] = slopes.slope, slopes.sigma
     reference = np.zeros(len(COVARIATES))
     reference[columns] = np.nanmedian(every[:, columns], axis=0)
-    return PairNoise(model, full, reference)
+    return PairNoise(scale, full, reference)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,9 +15,8 @@ from p2o.page import page as html
 from p2o.page.page import Block, Column, brief, cell
 from p2o.page.plot import Axis, Panel, Series, plot
 
-from p2o_fleet.fleet_state import Alarm, ExtrinsicState, FleetState, FleetStatus, ServiceChange, TypeState, amount
+from p2o_fleet.fleet_state import Alarm, ExtrinsicState, FleetState, FleetStatus, TypeState, amount
 from p2o_fleet.outputs import extrinsic_dict, iso, matrix_text, proposal_name, type_text
-from p2o_fleet.overlays import Overlays
 
 INDEX, DATA = "index.html", html.DATA
 _PER_FILE = 50
@@ -75,19 +74,18 @@ def _reason(state: ExtrinsicState) -> str:
     return state.reason + (" (as all vehicles of its type)" if systematic else "")
 
 
-def write_page(state: FleetState, folder: Path, overlays: Overlays | None = None) -> Path:
+def write_page(state: FleetState, folder: Path) -> Path:
     """Write the page to a folder: index.html, and files of histories that it loads on demand; return its path.
 
     It needs no server and loads nothing from elsewhere. Raises InputError if the folder cannot be written.
     """
     html.prepare_data(folder)
-    # Alarms first: the overlays are for the strongest ones.
     order = [*state.alarms, *(one for one in state.current if one.alarm is None)]
     order += [one for one in state.extrinsics if not one.current]
     opens = []
     for first in range(0, len(order), _PER_FILE):
         name, some = f"history-{first // _PER_FILE}", order[first : first + _PER_FILE]
-        html.write_data(folder, name, [[*_proposal(one), *_history(one), *_overlays(one, overlays)] for one in some])
+        html.write_data(folder, name, [[*_proposal(one), *_history(one)] for one in some])
         opens += [html.detail_of_file(f"{one.vehicle}: {_sensors(one)}", name, n) for n, one in enumerate(some)]
     filters: list[str | tuple[str, str]] = ["state", "type", "sensors", ("extrinsics", _IN_USE)]
     table = html.table(
@@ -100,8 +98,7 @@ def write_page(state: FleetState, folder: Path, overlays: Overlays | None = None
         blocks.append(html.section("Not read", html.items(state.remarks)))
     types = html.table(type_columns(), state.types, name="types")
     blocks += [table, html.section("Types", types, html.text(_TYPES, "quiet"))]
-    if state.services:
-        services = [f"{one.vehicle}: {'; '.join(_service_texts(one))}" for one in state.services]
+    if services := [_service_text(one) for one in state.extrinsics if one.change]:
         blocks.append(html.section("Changes at services", html.items(services)))
     notes = (
         f"Alarms have a false discovery rate of {100 * state.rules.rate:g} % over the whole fleet. Constant errors up "
@@ -190,12 +187,6 @@ def _history(state: ExtrinsicState) -> Iterator[Block]:
         yield html.text(f"{missing} checks without an estimate are not shown.", "quiet")
 
 
-def _overlays(state: ExtrinsicState, overlays: Overlays | None) -> Sequence[Block]:
-    drawn = overlays.of(state) if overlays is not None and state.status is not FleetStatus.HOLDS else []
-    ends = ("extrinsic in use", "proposed extrinsic")
-    return [html.slides(one["name"], one["before"], one["after"], ends) for one in drawn]
-
-
 def _sensors(state: ExtrinsicState) -> str:
     return f"{state.camera} and {state.lidar}"
 
@@ -216,6 +207,6 @@ def _signed(value: float, unit: str) -> str:
     return f"{value:+.2f}" if unit == "deg" else f"{100 * value:+.1f}"
 
 
-def _service_texts(change: ServiceChange) -> Iterator[str]:
-    yield f"{change.camera} and {change.lidar}, service {change.service} at {iso(change.time)}"
-    yield from map(amount, change.axes)
+def _service_text(state: ExtrinsicState) -> str:
+    head = f"{state.vehicle}: {_sensors(state)}, service {state.service} at {iso(state.first)}"
+    return "; ".join([head, *map(amount, state.change)])

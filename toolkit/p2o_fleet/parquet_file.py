@@ -10,8 +10,8 @@ from typing import Any
 from p2o.errors import InputError
 from p2o.files.input_file import naming, read_bytes
 
-MAX_TEXT = 1000
-"""Maximum number of characters of a text."""
+from p2o_fleet.drive import MAX_TEXT
+
 _MAX_BYTES, _MAX_UNPACKED = 256 << 20, 1 << 30
 """Maximum size of a file, and of its content without compression."""
 _MAX_VALUES = 64
@@ -19,7 +19,7 @@ _MAX_VALUES = 64
 
 
 @contextlib.contextmanager
-def open_parquet(path: Path, what: str, most_rows: int | None = None) -> Iterator[Any]:
+def open_parquet(path: Path, what: str, most_rows: int) -> Iterator[Any]:
     """Open a Parquet file as `pyarrow.parquet.ParquetFile`; equal texts are read once, as dictionaries.
 
     Raises InputError as `read_bytes`, if it has more than `most_rows` rows or unpacks to more than 1 GiB, and for
@@ -34,10 +34,9 @@ def open_parquet(path: Path, what: str, most_rows: int | None = None) -> Iterato
         groups = [about.row_group(number) for number in range(about.num_row_groups)]
         columns = [(group, group.column(number)) for group in groups for number in range(group.num_columns)]
         size = sum(column.total_uncompressed_size for _, column in columns)
-        most = about.num_rows if most_rows is None else most_rows
         long = any(column.num_values > _MAX_VALUES * group.num_rows for group, column in columns)
-        if size > _MAX_UNPACKED or about.num_rows > most or long:
-            expected = f"at most {_MAX_UNPACKED} bytes and {most} rows, with lists of about {_MAX_VALUES} values"
+        if size > _MAX_UNPACKED or about.num_rows > most_rows or long:
+            expected = f"at most {_MAX_UNPACKED} bytes and {most_rows} rows, with lists of about {_MAX_VALUES} values"
             got = f"{size} bytes, {about.num_rows} rows"
             raise InputError(f"the unpacked {what} is too large", where=path, expected=expected, got=got)
         schema = about.schema
@@ -51,12 +50,12 @@ def open_parquet(path: Path, what: str, most_rows: int | None = None) -> Iterato
 
 
 def check_texts(table: Any) -> None:
-    """Raise InputError if a text of an Arrow table or batch, read by `open_parquet`, is too long to be repeated."""
+    """Raise InputError if a text of an Arrow table, read by `open_parquet`, is too long to be repeated."""
     import pyarrow as pa
     import pyarrow.compute as pc
 
     for name, column in zip(table.schema.names, table.columns, strict=True):
-        for chunk in column.chunks if isinstance(column, pa.ChunkedArray) else [column]:
+        for chunk in column.chunks:
             values = chunk.flatten() if pa.types.is_list(chunk.type) else chunk
             if isinstance(values, pa.DictionaryArray):
                 longest = pc.max(pc.binary_length(values.dictionary)).as_py() or 0

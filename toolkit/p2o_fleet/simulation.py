@@ -165,8 +165,11 @@ def _vehicle(scenario: Scenario, bank: NoiseBank, number: int) -> SimulatedVehic
         for key, moment, degrees in zip(keys, time.tolist(), temperature.tolist(), strict=True)
     ]
     rows = [
-        Evidence.of(
-            *(drive, drive.data, outcome, _REASONS.get(outcome, "")),
+        Evidence(
+            drive=drive,
+            key=drive.data,
+            verdict=outcome,
+            reason=_REASONS.get(outcome, ""),
             **estimate,
             camera_from_lidar=_POSE,
             odds_ratio=10.0 if estimate else None,

@@ -85,39 +85,22 @@ def beside_previous(values: Float, sigma: Float) -> Float:
     return out
 
 
-@dataclass(frozen=True)
-class NoiseModel:
-    """How errors of checks vary at a constant extrinsic: `scale` (6,) multiplies their predicted deviations.
-
-    `tolerance` (6,) is the largest constant error, in deg and m, that counts as correct: it covers the systematic
-    errors of the edges and of the extrinsic itself.
-    """
-
-    scale: tuple[float, ...] = (1.0,) * 6
-    tolerance: tuple[float, ...] = (0.2, 0.2, 0.2, 0.03, 0.03, 0.03)
-
-    @property
-    def inflation(self) -> Float:
-        """Return the factors (6, 6) of covariances."""
-        return np.outer(self.scale, self.scale)
-
-
-def e_process(error: Float, covariance: Float, noise: NoiseModel, at: Int | None = None) -> Float:
+def e_process(error: Float, covariance: Float, tolerance: Float, at: Int | None = None) -> Float:
     """Return the log e-process (T, 6) of each axis; the mean over the axes is one of the whole extrinsic.
 
-    With `at` (K,), only its values (K, 6) after these checks are returned. Three statistics are averaged: the error
-    itself beyond the tolerance, its change against the mean of all previous checks, and the change of each axis under
-    the assumption that the others did not change.
+    `tolerance` (6,) is the largest constant error, in deg and m, that counts as correct: it covers the systematic
+    errors of the edges and of the extrinsic itself. With `at` (K,), only the values (K, 6) after these checks are
+    returned. Three statistics are averaged: the error itself beyond the tolerance, its change against the mean of all
+    previous checks, and the change of each axis under the assumption that the others did not change.
     """
     if not len(error):
         return np.zeros((0, len(AXES)))
     at = np.arange(len(error)) if at is None else at
-    wide = covariance * noise.inflation
-    sigma = np.sqrt(np.einsum("tii->ti", wide))
+    sigma = np.sqrt(np.einsum("tii->ti", covariance))
     none = np.zeros_like(error)
-    alone, alone_sigma = conditional(error, wide)
+    alone, alone_sigma = conditional(error, covariance)
     parts = [
-        bets(error / sigma, np.array(noise.tolerance) / sigma),
+        bets(error / sigma, tolerance / sigma),
         bets(beside_previous(error, sigma), none),
         bets(beside_previous(alone, alone_sigma), none),
     ]

@@ -6,7 +6,6 @@ import contextlib
 import hashlib
 import json
 import os
-import threading
 import uuid
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -22,12 +21,12 @@ from p2o.files.parsed_text import parse_json
 from p2o.files.whole_file import sync_folder, write_errors, write_synced
 
 from p2o_fleet.checks import READ, Checks
-from p2o_fleet.drive import Drive, day_of
+from p2o_fleet.drive import Drive, month_of
 from p2o_fleet.evidence import COLUMNS, Evidence, Verdict, table_of, with_schema
 from p2o_fleet.parquet_file import open_parquet
 
 _FOLD_ROWS = 5000
-"""Number of rows after which a journal becomes Parquet files: it bounds the memory of a run."""
+"""Number of rows after which a journal becomes Parquet files."""
 _ATTEMPTS = 10
 _MAX_VEHICLES = 1024
 """Number of vehicles whose keys are remembered."""
@@ -116,16 +115,19 @@ class Store:
             sync_folder(self.root)
         for path in _journals(self.journals, writer.damaged):
             with contextlib.suppress(FileNotFoundError), path.open("rb") as journal:
-                damaged: list[str] = []
-                rows = _lines(path, damaged)
-                writer.own |= {row["key"]: (row["verdict"], row["reason"]) for row in rows}
-                writer.damaged += damaged
                 if _lock(journal):  # its writer has ended
-                    self.add(rows)
-                    if damaged:  # its lines are kept for a look at them
-                        path.rename(path.with_suffix(".damaged"))
-                    path.unlink(missing_ok=True)
+                    self.fold(path, writer.damaged)
+                else:
+                    writer.own.update(_finished(_lines(path, writer.damaged)))
         return writer
+
+    def fold(self, journal: Path, damaged: list[str]) -> None:
+        """Turn a journal into Parquet files; it is kept as *.damaged if lines of it are damaged, which are named."""
+        count = len(damaged)
+        self.add(_lines(journal, damaged))
+        if len(damaged) > count:
+            journal.rename(journal.with_suffix(".damaged"))
+        journal.unlink(missing_ok=True)
 
     def add(self, rows: Iterable[Row]) -> None:
         """Write rows to the file of their vehicle and month; the same rows again change nothing.
@@ -138,16 +140,16 @@ class Store:
 
         groups: dict[tuple[str, str], list[Row]] = {}
         for row in rows:
-            groups.setdefault((row["vehicle"], day_of(row["time"])[:7]), []).append(row)
+            groups.setdefault((row["vehicle"], month_of(row["time"])), []).append(row)
         for (vehicle, month), group in groups.items():
             before = {}
             for path in self.parts(vehicle, month):
                 with contextlib.suppress(FileNotFoundError):  # another process was faster
-                    if (part := _read(path, vehicle, [], COLUMNS)) is not None:
+                    if (part := _read(path, vehicle, [], tuple(COLUMNS))) is not None:
                         before[path] = with_schema(part[0])
             if len(group) + sum(map(len, before.values())) > _MAX_ROWS:
                 before = {}
-            table = _rows_once(pa.concat_tables([table_of(group), *before.values()]))
+            table = _rows_once(pa.concat_tables([*before.values(), table_of(group)]))
             # The name depends on the checks: processes that write different ones do not replace each other's file.
             keys = sorted(map("".join, zip(*(table[name].to_pylist() for name in ("key", "verdict")), strict=True)))
             digest = hashlib.sha256("\n".join(keys).encode()).hexdigest()[:24]
@@ -156,10 +158,7 @@ class Store:
             pq.write_table(table, content, compression="zstd", use_dictionary=True)
             with write_errors("evidence", path.parent):
                 path.parent.mkdir(parents=True, exist_ok=True)
-                try:
-                    write_synced(path, content.getvalue())
-                except InputError as problem:
-                    raise problem.__cause__ or problem from None
+                write_synced(path, content.getvalue())
                 for folder in (path.parent, path.parent.parent, self.checks_folder):
                     sync_folder(folder)
             for replaced in before.keys() - {path}:
@@ -175,17 +174,16 @@ class Store:
 class Writer:
     """Appends evidence to the journal of this process, and knows which checks are finished.
 
-    `damaged` are the files and lines of the store that were skipped, `own` verdict and reason by key of the checks in
-    journals: of this writer, and of others when it began.
+    `damaged` are the files and lines of the store that were skipped, `own` the keys of finished checks in journals: of
+    this writer, and of others when it began.
     """
 
     store: Store
     damaged: list[str] = field(default_factory=list)
-    own: dict[str, tuple[str, str]] = field(default_factory=dict)
-    _pending: list[Row] = field(default_factory=list)
+    own: set[str] = field(default_factory=set)
+    _count: int = 0
     _journal: IO[bytes] | None = None
-    _path: Path | None = None
-    _lock: threading.RLock = field(default_factory=threading.RLock)
+    _path: Path = Path()
 
     def __post_init__(self) -> None:
         self._keys = lru_cache(_MAX_VEHICLES)(self._keys_of)
@@ -197,50 +195,37 @@ class Writer:
         self.fold()
 
     def finished(self, drive: Drive, key: str) -> bool:
-        """Return whether this check is stored, by any writer; unreadable logs are not finished. Thread-safe."""
-        with self._lock:
-            return self._stored(drive.vehicle, key)[:1] not in ((), (Verdict.UNREADABLE.value,))
+        """Return whether this check is stored, by any writer; unreadable logs are not finished."""
+        return key in self.own or key in self._keys(drive.vehicle)
 
-    def _stored(self, vehicle: str, key: str) -> tuple[str, ...]:
-        """Return verdict and reason of a stored check, empty if there is none."""
-        return self.own.get(key) or self._keys(vehicle).get(key) or ()
-
-    def _keys_of(self, vehicle: str) -> dict[str, tuple[str, str]]:
-        """Return verdict and reason by key; a readable row of a key counts more than an unreadable one."""
-        outcomes: dict[str, tuple[str, str]] = {}
+    def _keys_of(self, vehicle: str) -> set[str]:
+        """Return the keys of the finished checks of a vehicle in Parquet files."""
+        keys: set[str] = set()
         for path in self.store.parts(vehicle):
             with contextlib.suppress(FileNotFoundError):
                 if (part := _read(path, vehicle, self.damaged)) is not None:
-                    names = ("key", "verdict", "reason")
-                    for key, *outcome in zip(*(part[1].texts[name].tolist() for name in names), strict=True):
-                        if outcomes.get(key, (Verdict.UNREADABLE.value,))[0] == Verdict.UNREADABLE.value:
-                            outcomes[key] = (outcome[0], outcome[1])
-        return outcomes
+                    texts = part[1].texts
+                    keys.update(texts["key"][texts["verdict"] != Verdict.UNREADABLE.value].tolist())
+        return keys
 
-    def put(self, evidence: Evidence) -> bool:
-        """Store evidence on the disk before returning; False if it is stored already. Thread-safe.
+    def put(self, evidence: Evidence) -> None:
+        """Store evidence on the disk before returning.
 
         Raises InputError if it cannot be written; what was stored before is kept.
         """
-        with self._lock:
-            outcome = (evidence.verdict.value, evidence.reason)
-            stored = self._stored(evidence.vehicle, evidence.key)
-            if stored and (stored[0] != Verdict.UNREADABLE.value or stored == outcome):
-                return False
-            row = evidence.row()
-            with write_errors("evidence", self.store.journals, "free some space, then run the same command again"):
-                _append(self._open(), json.dumps(row, allow_nan=False).encode() + b"\n")
-            self._pending.append(row)
-            self.own[evidence.key] = outcome
-            if len(self._pending) >= _FOLD_ROWS:
-                self.fold()
-            return True
+        row = evidence.row()
+        with write_errors("evidence", self.store.journals, "free some space, then run the same command again"):
+            _append(self._open(), json.dumps(row, allow_nan=False).encode() + b"\n")
+        self.own.update(_finished([row]))
+        self._count += 1
+        if self._count >= _FOLD_ROWS:
+            self.fold()
 
     def _open(self) -> IO[bytes]:
         if self._journal is None:
             # Locked before it has the name of a journal: another process would take it for that of a killed writer.
             name = self.store.journals / uuid.uuid4().hex
-            self._journal = name.open("xb", buffering=0)
+            self._journal, self._count = name.open("xb", buffering=0), 0
             _lock(self._journal)
             self._path = name.rename(name.with_suffix(".jsonl"))
             sync_folder(self.store.journals)
@@ -248,13 +233,15 @@ class Writer:
 
     def fold(self) -> None:
         """Turn the journal of this writer into Parquet files."""
-        if self._journal is None or self._path is None:
-            return
-        self.store.add(self._pending)
-        self._path.unlink(missing_ok=True)
-        self._journal.close()
-        self._journal = self._path = None
-        self._pending.clear()
+        if self._journal is not None:
+            self.store.fold(self._path, self.damaged)
+            self._journal.close()
+            self._journal = None
+
+
+def _finished(rows: Iterable[Row]) -> Iterator[str]:
+    """Yield the keys of the rows that are not those of unreadable logs."""
+    return (row["key"] for row in rows if row["verdict"] != Verdict.UNREADABLE.value)
 
 
 def _append(file: IO[bytes], line: bytes) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 from p2o.cli.json_output import json_option, print_json
-from p2o.cli.plugin_options import load, plugin_options
+from p2o.cli.plugin_options import plugin_options
 from p2o.cli.progress import LINE_INTERVAL_S
 from p2o.errors import MethodUnavailable, printable
 from p2o_study.cli.ablate import cluster_options, jobs_option
@@ -27,7 +27,7 @@ def command() -> None:
     """Check the extrinsics of many vehicles, find slips and systematic errors, and report on them.
 
     `p2o fleet run` checks the drives of a table and stores the evidence, `p2o fleet report` applies sequential tests
-    to it and writes JSON, metrics and a page. docs/how-to/fleet.md explains table, store and tests.
+    to it and writes JSON and a page. docs/how-to/fleet.md explains table, store and tests.
     """
     if importlib.util.find_spec("pyarrow") is None:
         hint = 'run: pip install "p2o-calib[fleet]"'
@@ -65,14 +65,14 @@ def run(
     block: tuple[str, ...],
     **words: Any,
 ) -> int:
-    """Check the drives of a table, or of a folder ROOT/VEHICLE/TIME, that are not stored yet.
+    """Check the drives of a table that are not stored yet.
 
-    DRIVES is a CSV or Parquet file with the columns vehicle, camera, lidar, data, extrinsic and time. A log that cannot
-    be read is stored with the reason, and tried again by the next run.
+    DRIVES is a CSV file with the columns vehicle, camera, lidar, data, extrinsic and time. A log that cannot be read is
+    stored with the reason, and tried again by the next run.
 
     \b
     p2o fleet run drives.csv --store fleet --jobs 4
-    p2o fleet run drives.parquet --store fleet --backend dask --address tcp://HOST:8786
+    p2o fleet run drives.csv --store fleet --backend dask --address tcp://HOST:8786
 
     Exit status 0 if every drive is checked, 1 if logs were unreadable, 2 for wrong input, 130 if interrupted.
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
@@ -121,7 +121,7 @@ class _Lines:
         from p2o_fleet.evidence import Verdict
 
         if evidence.verdict is Verdict.UNREADABLE:
-            print(f"p2o: {printable(evidence.data, 200)}: {printable(evidence.reason)}", file=sys.stderr)
+            print(f"p2o: {printable(evidence.drive.data, 200)}: {printable(evidence.reason)}", file=sys.stderr)
         if time.monotonic() - self.last > LINE_INTERVAL_S:
             self.last = time.monotonic()
             print(f"p2o: {outcome.checked} drives checked, {outcome.kept} stored before", file=sys.stderr)
@@ -137,21 +137,10 @@ class _Lines:
 @jobs_option
 @click.option("--require", is_flag=True, help="Exit status 1 also if the state of an extrinsic is unknown.")
 @json_option
-@plugin_options
-def report(
-    store: str,
-    out: str,
-    jobs: int,
-    require: bool,
-    as_json: bool,
-    plugin: tuple[str, ...],
-    block: tuple[str, ...],
-    **rules: Any,
-) -> int:
+def report(store: str, out: str, jobs: int, require: bool, as_json: bool, **rules: Any) -> int:
     """Compute the state of every extrinsic from the stored evidence, and write the report.
 
-    Writes index.html (a page that works offline), fleet.json, fleet.prom (metrics for Prometheus), webhook.json (alarms
-    that the last report in the folder did not contain) and proposed extrinsics to DIR.
+    Writes index.html (a page that works offline), fleet.json and proposed extrinsics to DIR.
 
     \b
     p2o fleet report --store fleet --out report
@@ -164,19 +153,18 @@ def report(
 
     from p2o_fleet.fleet_state import FleetRules, FleetStatus, fleet_state
     from p2o_fleet.outputs import summary_lines, write_outputs
-    from p2o_fleet.overlays import Overlays
     from p2o_fleet.page import write_page
     from p2o_fleet.store import Store
 
     state = fleet_state(Store.existing(store), FleetRules(**rules), Workers(jobs))
     folder = Path(out).expanduser()
     plain = write_outputs(state, folder)
-    write_page(state, folder, Overlays(load(plugin, block)))
+    write_page(state, folder)
     if as_json:
         print_json(plain)
     else:
         click.echo("\n".join(printable(line) for line in summary_lines(state)))
-        click.echo(f"wrote {folder / 'index.html'}, fleet.json, fleet.prom, webhook.json")
+        click.echo(f"wrote {folder / 'index.html'} and fleet.json")
     unknown = any(one.status is FleetStatus.CANNOT_TELL for one in state.current)
     return 1 if state.alarms or any(one.alarms for one in state.types) or (require and unknown) else 0
 
