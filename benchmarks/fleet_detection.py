@@ -89,7 +89,7 @@ def _detected(scenario: Scenario, bank: NoiseBank) -> list[str]:
         total[len(fleet)] = np.logaddexp.reduce(logs, axis=1) - np.log(len(AXES))
         frames = np.concatenate([[0], np.cumsum(vehicle.checks.frame_count)])
         begin = {Fault.SLIP: vehicle.begin, Fault.DRIFT: 0}.get(vehicle.fault, scenario.checks)
-        fleet.append(_Judged(replace(vehicle, checks=vehicle.checks.take([])), begin, frames, logs.argmax(axis=1)))
+        fleet.append(_Judged(replace(vehicle, rows=()), begin, frames, logs.argmax(axis=1)))
     rejected = np.stack([discoveries(column, RATE) for column in total.T], axis=1)
     fault = next(iter(scenario.shares), None)
     delays, right, at, false = list[float](), 0, list[float](), Counter[str]()

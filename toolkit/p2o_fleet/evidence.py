@@ -78,6 +78,13 @@ def estimate_columns(error: Float, covariance: Float) -> dict[str, Any]:
     return {**dict(zip(ERROR_COLUMNS, error.tolist(), strict=True)), "covariance": tuple(covariance[UPPER].tolist())}
 
 
+def symmetric(upper: Float) -> Float:
+    """Return covariances (N, 6, 6) of their upper triangles (N, 21)."""
+    out = np.empty((len(upper), len(AXES), len(AXES)))
+    out[:, UPPER[0], UPPER[1]] = out[:, UPPER[1], UPPER[0]] = upper
+    return out
+
+
 @cache
 def arrow_schema() -> Any:
     """Return the Arrow schema of the store."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from itertools import pairwise
 from typing import Any
@@ -21,7 +21,7 @@ from p2o_study.parallel import Workers
 from p2o_fleet.checks import Checks
 from p2o_fleet.evidence import Verdict
 from p2o_fleet.noise import PairNoise, Samples, estimate_noise, sampled
-from p2o_fleet.segments import Extrinsic, Pair, Segment, segments_of
+from p2o_fleet.segments import Extrinsic, Pair, segments_of
 from p2o_fleet.statistics import MeanError, conditional, discoveries, e_process, mean_error, onset, systematic
 from p2o_fleet.store import Store
 
@@ -258,10 +258,10 @@ def _evaluated(job: _VehiclesJob) -> list[tuple[str, list[ExtrinsicState], list[
         remarks = list(checks.damaged)
         if future := int((checks.time > job.now).sum()):
             remarks.append(f"{checks.vehicle}: {future} checks have times in the future")
-        if aside := len(checks) - sum(len(one.checks) for one in segments):
+        if aside := len(checks) - sum(len(own) for _, own in segments):
             text = "have another extrinsic or service than those before: it counts from a second one on"
             remarks.append(f"{checks.vehicle}: {aside} single checks {text}")
-        states = [_state(one, job.noise.get(one.pair), job.rules, job.now) for one in segments]
+        states = [_state(one, own, job.noise.get(one.pair, PairNoise()), job.rules, job.now) for one, own in segments]
         out.append((checks.vehicle, states, remarks))
     return out
 
@@ -271,19 +271,14 @@ def _lost(job: _VehiclesJob, problem: P2OError) -> Any:
     raise problem
 
 
-def _state(segment: Segment, noise: PairNoise | None, rules: FleetRules, now: float) -> ExtrinsicState:
-    """Return the state of a segment before the false discovery rate of the fleet is known."""
-    checks = segment.checks
+def _state(extrinsic: Extrinsic, checks: Checks, noise: PairNoise, rules: FleetRules, now: float) -> ExtrinsicState:
+    """Return the state of an extrinsic before the false discovery rate of the fleet is known."""
     own = checks.take(np.flatnonzero(checks.usable))
-    noise = noise or PairNoise()
     error, covariance = noise.without_trend(own), noise.covariance_of(own)
-    shown = np.unique(np.linspace(0, len(checks) - 1, min(len(checks), _HISTORY)).round().astype(int))
-    known = np.cumsum(checks.usable)[shown]
-    logs = np.zeros((len(shown), len(AXES)))
-    logs[known > 0] = e_process(error, covariance, rules.sizes("tolerance"), known[known > 0] - 1)
+    logs = np.concatenate([np.zeros((1, len(AXES))), e_process(error, covariance, rules.sizes("tolerance"))])
     texts = checks.texts
     state = ExtrinsicState(
-        **{one.name: getattr(segment, one.name) for one in fields(Extrinsic)},
+        **vars(extrinsic),
         first=float(checks.time[0]),
         last=float(checks.time[max(0, int((checks.time <= now).sum()) - 1)]),
         checks=len(checks),
@@ -295,7 +290,7 @@ def _state(segment: Segment, noise: PairNoise | None, rules: FleetRules, now: fl
         log_e=logs[-1],
         mean=mean_error(error[-_MEAN_OF:], covariance[-_MEAN_OF:]) if len(own) else None,
         alarm=None,
-        history=_history(checks, shown, known, error, covariance, logs),
+        history=_history(checks, error, covariance, logs),
     )
     posed = np.flatnonzero(np.isfinite(checks.pose).all(axis=(1, 2)))
     # No e-value below 1 / rate is a discovery, whatever the others are.
@@ -311,14 +306,13 @@ def _last_reason(checks: Checks) -> str:
     return "" if recent.any() else f"no estimate in the last {len(recent)} checks: {checks.texts['reason'][-1]}"
 
 
-def _history(checks: Checks, shown: Any, known: Any, error: Float, covariance: Float, logs: Float) -> History:
-    """Return the history of these checks; `known` of them and of those before have an estimate."""
-    errors, sigmas = np.full((2, len(shown), len(AXES)), np.nan)
-    usable = checks.usable[shown]
-    at = known[usable] - 1
-    errors[usable], sigmas[usable] = error[at], np.sqrt(np.einsum("tii->ti", covariance[at]))
-    total = np.logaddexp.reduce(logs, axis=1) - np.log(len(AXES))
-    return History(checks.time[shown], errors, sigmas, total)
+def _history(checks: Checks, error: Float, covariance: Float, logs: Float) -> History:
+    """Return the history of checks, of the errors (T, 6) of the usable ones, and of their log e-process (T + 1, 6)."""
+    errors, sigmas = np.full((2, len(checks), len(AXES)), np.nan)
+    errors[checks.usable], sigmas[checks.usable] = error, np.sqrt(np.einsum("tii->ti", covariance))
+    total = np.logaddexp.reduce(logs[np.cumsum(checks.usable)], axis=1) - np.log(len(AXES))
+    shown = np.unique(np.linspace(0, len(checks) - 1, min(len(checks), _HISTORY)).round().astype(int))
+    return History(checks.time[shown], errors[shown], sigmas[shown], total[shown])
 
 
 def _with_alarms(candidates: Sequence[ExtrinsicState], rules: FleetRules) -> list[ExtrinsicState]:

@@ -72,13 +72,12 @@ def sampled(store: Store, vehicles: Sequence[str], now: float) -> Samples:
     """Return some checks of each vehicle, by type and pair of sensors."""
     samples: Samples = {}
     for checks in store.checks(vehicles):
-        for segment in segments_of(checks, now):
-            usable = np.flatnonzero(segment.checks.usable).tolist()
-            own = segment.checks.take(np.array(spread(usable, _SAMPLED), np.int64))
+        for extrinsic, every in segments_of(checks, now):
+            own = every.take(np.array(spread(np.flatnonzero(every.usable).tolist(), _SAMPLED), np.int64))
             if len(own) > 1:
                 sigma = np.sqrt(np.einsum("tii->ti", own.covariance))
                 sample = Sample(local_deviations(own.error, own.covariance), own.error, sigma, covariates_of(own))
-                samples.setdefault(segment.pair, []).append(sample)
+                samples.setdefault(extrinsic.pair, []).append(sample)
     return samples
 
 

@@ -127,18 +127,17 @@ def summary_lines(state: FleetState, most: int = 20) -> Sequence[str]:
     """Return the state of a fleet as lines for a terminal."""
     counts = status_counts(state)
     total = sum(counts.values())
-    texts = ", ".join(f"{count} {status.replace('-', ' ')}" for status, count in counts.items())
-    lines = [f"{total} extrinsics in use, {state.checks} checks until {iso(state.until)}: {texts}"]
+    by_status = ", ".join(f"{count} {status.replace('-', ' ')}" for status, count in counts.items())
+    lines = [f"{total} extrinsics in use, {state.checks} checks until {iso(state.until)}: {by_status}"]
     lines += [f"  {type_text(one)}" for one in state.types if one.alarms]
-    for one in state.alarms[:most]:
-        assert one.alarm is not None
-        systematic = ", as its type" if one.alarm.systematic else ""
-        lines.append(
-            f"  {one.vehicle}, {one.camera} and {one.lidar}: {one.reason}, since {iso(one.alarm.since)}{systematic}"
-        )
-    if len(state.alarms) > most:
-        lines.append(f"  and {len(state.alarms) - most} further alarms")
-    lines += [f"  remark: {text}" for text in state.remarks[:most]]
-    if len(state.remarks) > most:
-        lines.append(f"  and {len(state.remarks) - most} further remarks")
+    alarms = [
+        f"{one.vehicle}, {one.camera} and {one.lidar}: {one.reason}, since {iso(one.alarm.since)}"
+        + (", as its type" if one.alarm.systematic else "")
+        for one in state.alarms
+        if one.alarm is not None
+    ]
+    for texts, further in ((alarms, "alarms"), ([f"remark: {text}" for text in state.remarks], "remarks")):
+        lines += [f"  {text}" for text in texts[:most]]
+        if len(texts) > most:
+            lines.append(f"  and {len(texts) - most} further {further}")
     return lines

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from p2o.arrays import Bool, Float, Int
+from p2o.arrays import Bool, Float
 from p2o.confidence.audit import AXES
 
 CLIP = 4.0
@@ -37,19 +37,17 @@ def onset_prior(count: int) -> Float:
     return np.concatenate([[_SINCE_FIRST], (1 - _SINCE_FIRST) * rest / 2.11])[:count]
 
 
-def mixture_over_onsets(log_ratios: Float, at: Int | None = None) -> Float:
+def mixture_over_onsets(log_ratios: Float) -> Float:
     """Return the log e-process (T, B) of bets with log likelihood ratios (T, B), mixed over the onset of the error.
 
     E_t = sum_k pi_k prod_(k <= i <= t) L_i + (1 - sum_(k <= t) pi_k): the bets begin at check k with probability pi_k.
-    With `at` (K,), only the values (K, B) after these checks are returned.
     """
-    at = np.arange(len(log_ratios)) if at is None else at
     prior = onset_prior(len(log_ratios))
     total = np.cumsum(log_ratios, axis=0)
     before = total - log_ratios
-    started = total[at] + np.logaddexp.accumulate(np.log(prior)[:, None] - before)[at]
+    started = total + np.logaddexp.accumulate(np.log(prior)[:, None] - before)
     waiting = np.log1p(-np.minimum(np.cumsum(prior), 1 - 1e-12))
-    return np.logaddexp(started, waiting[at, None])
+    return np.logaddexp(started, waiting[:, None])
 
 
 def bets(standard: Float, tolerance: Float) -> Float:
@@ -85,17 +83,16 @@ def beside_previous(values: Float, sigma: Float) -> Float:
     return out
 
 
-def e_process(error: Float, covariance: Float, tolerance: Float, at: Int | None = None) -> Float:
+def e_process(error: Float, covariance: Float, tolerance: Float) -> Float:
     """Return the log e-process (T, 6) of each axis; the mean over the axes is one of the whole extrinsic.
 
     `tolerance` (6,) is the largest constant error, in deg and m, that counts as correct: it covers the systematic
-    errors of the edges and of the extrinsic itself. With `at` (K,), only the values (K, 6) after these checks are
-    returned. Three statistics are averaged: the error itself beyond the tolerance, its change against the mean of all
-    previous checks, and the change of each axis under the assumption that the others did not change.
+    errors of the edges and of the extrinsic itself. Three statistics are averaged: the error itself beyond the
+    tolerance, its change against the mean of all previous checks, and the change of each axis under the assumption that
+    the others did not change.
     """
     if not len(error):
         return np.zeros((0, len(AXES)))
-    at = np.arange(len(error)) if at is None else at
     sigma = np.sqrt(np.einsum("tii->ti", covariance))
     none = np.zeros_like(error)
     alone, alone_sigma = conditional(error, covariance)
@@ -107,7 +104,7 @@ def e_process(error: Float, covariance: Float, tolerance: Float, at: Int | None 
     # The first check cannot show a change: without a bet, its factor is 1.
     for part in parts[1:]:
         part[0] = 0.0
-    logs = [mixture_over_onsets(part.reshape(len(error), -1), at).reshape(len(at), *part.shape[1:]) for part in parts]
+    logs = [mixture_over_onsets(part.reshape(len(error), -1)).reshape(part.shape) for part in parts]
     return log_mean(np.stack(logs), axes=(0, 3, 4))
 
 

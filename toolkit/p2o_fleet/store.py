@@ -86,16 +86,14 @@ class Store:
             yield Checks.joined(vehicle, parts, damaged)
 
     def _parts_read(self, vehicle: str, damaged: list[str]) -> list[Checks]:
-        paths = self.parts(vehicle)
         for _ in range(_ATTEMPTS):
-            listed, skipped, parts = paths, list[str](), list[Checks]()
+            paths, skipped = self.parts(vehicle), list[str]()
             with contextlib.suppress(FileNotFoundError):
                 parts = [part[1] for path in paths if (part := _read(path, vehicle, skipped)) is not None]
                 # A change between two listings of folders could hide both a new file and those that it replaced.
-                if (paths := self.parts(vehicle)) == listed:
+                if self.parts(vehicle) == paths:
                     damaged.extend(skipped)
                     return parts
-            paths = self.parts(vehicle)
         raise P2OError("the store changes while it is read", where=self.root, hint="run the same command again")
 
     def parts(self, vehicle: str, day: str = "*") -> list[Path]:

@@ -6,6 +6,7 @@ import importlib.util
 import json
 import sys
 import time
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -93,7 +94,7 @@ def run(
         settings=settings,
         plugins=Plugins.of(block, plugin),
         workers=Workers(jobs, backend, address),
-        on_check=(lambda outcome, evidence: None) if quiet or as_json else _Lines(),
+        on_check=(lambda outcome, evidence: None) if quiet or as_json else _show_progress(),
     )
     unreadable = done.verdicts[Verdict.UNREADABLE.value]
     for text in done.damaged:
@@ -111,20 +112,19 @@ def run(
     return 1 if unreadable else 0
 
 
-class _Lines:
-    """Prints a line of progress every few seconds, and a line for each unreadable log."""
+def _show_progress() -> Callable[[RunOutcome, Evidence], None]:
+    """Return a function that prints a line of progress every few seconds, and a line for each unreadable log."""
+    last = time.monotonic()
 
-    def __init__(self) -> None:
-        self.last = time.monotonic()
-
-    def __call__(self, outcome: RunOutcome, evidence: Evidence) -> None:
-        from p2o_fleet.evidence import Verdict
-
-        if evidence.verdict is Verdict.UNREADABLE:
+    def show(outcome: RunOutcome, evidence: Evidence) -> None:
+        nonlocal last
+        if evidence.verdict == "unreadable":
             print(f"p2o: {printable(evidence.drive.data, 200)}: {printable(evidence.reason)}", file=sys.stderr)
-        if time.monotonic() - self.last > LINE_INTERVAL_S:
-            self.last = time.monotonic()
+        if time.monotonic() - last > LINE_INTERVAL_S:
+            last = time.monotonic()
             print(f"p2o: {outcome.checked} drives checked, {outcome.kept} stored before", file=sys.stderr)
+
+    return show
 
 
 @command.command("report")
