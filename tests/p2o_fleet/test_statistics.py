@@ -174,18 +174,16 @@ def test_a_common_error_of_thirty_vehicles_is_significant_and_their_spread_is_no
 
 def test_a_trend_with_temperature_is_estimated_although_some_vehicles_slip() -> None:
     rng = np.random.default_rng(8)
-    errors, sigmas, covariates = [], [], []
+    vehicles = []
     for number in range(20):
         temperature = rng.uniform(-10, 30, size=(60, 1))
         error = noise(rng, 60) + rng.normal(size=6) * 3 * SIGMA
         error[:, 1] += 0.006 * temperature[:, 0]
         if number < 3:
             error[30:, 1] += 0.5
-        errors.append(error)
-        sigmas.append(np.tile(SIGMA, (60, 1)))
-        covariates.append(temperature)
-    slopes = trend(errors, sigmas, covariates)
+        vehicles.append((error, np.tile(SIGMA, (60, 1)), temperature))
+    slopes = trend(vehicles)
     assert slopes is not None
     assert slopes.slope[1, 0] == pytest.approx(0.006, abs=0.001)
     assert np.flatnonzero(slopes.significant).tolist() == [1]
-    assert trend(errors[:1], sigmas[:1], [np.ones((60, 1))]) is None, "a constant covariate has no trend"
+    assert trend([(*vehicles[0][:2], np.ones((60, 1)))]) is None, "a constant covariate has no trend"

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from p2o.arrays import Float
@@ -55,29 +54,18 @@ class PairNoise:
             yield f"{AXES[axis][0]} {size:+.2g} +- {sigma:.2g} {AXES[axis][1]} per {COVARIATES[number]}"
 
 
-class Sample(NamedTuple):
-    """Sampled checks (T) of one vehicle and extrinsic: local deviations, errors, their deviations, covariates."""
-
-    deviations: Float
-    error: Float
-    sigma: Float
-    covariates: Float
-
-
-Samples = dict[Pair, list[Sample]]
-"""Sampled checks by type and pair of sensors."""
+Samples = dict[Pair, list[Checks]]
+"""Sampled checks of extrinsics by type and pair of sensors, without texts."""
 
 
 def sampled(store: Store, vehicles: Sequence[str], now: float) -> Samples:
-    """Return some checks of each vehicle, by type and pair of sensors."""
+    """Return some checks of each extrinsic of these vehicles, by type and pair of sensors."""
     samples: Samples = {}
     for checks in store.checks(vehicles):
         for extrinsic, every in segments_of(checks, now):
             own = every.take(np.array(spread(np.flatnonzero(every.usable).tolist(), _SAMPLED), np.int64))
             if len(own) > 1:
-                sigma = np.sqrt(np.einsum("tii->ti", own.covariance))
-                sample = Sample(local_deviations(own.error, own.covariance), own.error, sigma, covariates_of(own))
-                samples.setdefault(extrinsic.pair, []).append(sample)
+                samples.setdefault(extrinsic.pair, []).append(replace(own, texts={}, damaged=()))
     return samples
 
 
@@ -96,22 +84,19 @@ def covariates_of(checks: Checks) -> Float:
     return np.column_stack([checks.temperature_c, np.sin(angle), np.cos(angle)])
 
 
-def _pair_noise(samples: Sequence[Sample]) -> PairNoise:
-    scale = noise_scale([sample.deviations for sample in samples])
-    every = np.concatenate([sample.covariates for sample in samples])
+def _pair_noise(samples: Sequence[Checks]) -> PairNoise:
+    scale = noise_scale([local_deviations(one.error, one.covariance) for one in samples])
+    covariates = list(map(covariates_of, samples))
+    every = np.concatenate(covariates)
     known = np.isfinite(every).mean(axis=0) > 0.5
-    columns = [
-        number for number in np.flatnonzero(known) if np.nanmax(every[:, number]) - np.nanmin(every[:, number]) > 0.2
-    ]
-    if not columns or len(samples) < _MIN_VEHICLES:
-        return PairNoise(scale)
-    parts = [
-        (error[rows], sigma[rows] * np.array(scale), values[rows][:, columns])
-        for _, error, sigma, values in samples
-        if (rows := np.isfinite(values[:, columns]).all(axis=1)).sum() > 1
-    ]
-    errors, sigmas, covariates = ([part[n] for part in parts] for n in range(3))
-    slopes = trend(errors, sigmas, covariates) if len(parts) >= _MIN_VEHICLES else None
+    columns = [n for n in np.flatnonzero(known) if np.nanmax(every[:, n]) - np.nanmin(every[:, n]) > 0.2]
+    parts = []
+    for one, values in zip(samples, covariates, strict=True):
+        rows = np.isfinite(values[:, columns]).all(axis=1)
+        if rows.sum() > 1:
+            sigma = np.sqrt(np.einsum("tii->ti", one.covariance[rows])) * np.array(scale)
+            parts.append((one.error[rows], sigma, values[rows][:, columns]))
+    slopes = trend(parts) if columns and len(parts) >= _MIN_VEHICLES else None
     if slopes is None:
         return PairNoise(scale)
     full = Trend(np.zeros((len(AXES), len(COVARIATES))), np.full((len(AXES), len(COVARIATES)), np.inf))

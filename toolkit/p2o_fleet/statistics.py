@@ -285,29 +285,25 @@ class Trend:
         return np.where(np.abs(self.slope) > 4 * self.sigma, self.slope, 0.0)
 
 
-def trend(
-    errors: Sequence[Float], sigmas: Sequence[Float], covariates: Sequence[Float], least: int = 50
-) -> Trend | None:
-    """Return the common slopes of errors (T, 6) of vehicles on covariates (T, C); None for fewer than `least` checks.
+def trend(vehicles: Sequence[tuple[Float, Float, Float]], least: int = 50) -> Trend | None:
+    """Return the common slopes on covariates of the errors of vehicles; None for fewer than `least` checks.
 
-    Each vehicle has its own mean, so that differences between vehicles do not count. Residuals beyond 3 deviations
-    count as 3 (Huber), so that slips of few vehicles do not change the slopes.
+    Each vehicle has errors (T, 6), their deviations (T, 6) and covariates (T, C), and its own mean, so that differences
+    between vehicles do not count. Residuals beyond 3 deviations count as 3 (Huber), so that slips of few vehicles do
+    not change the slopes.
     """
-    if sum(map(len, errors)) < least:
+    if sum(len(error) for error, *_ in vehicles) < least:
         return None
-    count = covariates[0].shape[1]
+    count = vehicles[0][2].shape[1]
     slope, deviation = np.zeros((len(AXES), count)), np.full((len(AXES), count), np.inf)
     for axis in range(len(AXES)):
-        weights = [1 / sigma[:, axis] ** 2 for sigma in sigmas]
-        rows = np.concatenate(
-            [values - np.average(values, axis=0, weights=w) for values, w in zip(covariates, weights, strict=True)]
-        )
+        weights = [1 / sigma[:, axis] ** 2 for _, sigma, _ in vehicles]
+        means = [np.average(values, axis=0, weights=own) for (*_, values), own in zip(vehicles, weights, strict=True)]
+        rows = np.concatenate([values - mean for (*_, values), mean in zip(vehicles, means, strict=True)])
         if np.linalg.matrix_rank(rows) < count:
             return None
-        values = [error[:, axis] for error in errors]
-        weight = np.concatenate(weights)
-        robust_weight = weight
-        centred = np.concatenate([v - np.median(v) for v in values])
+        weight = robust_weight = np.concatenate(weights)
+        centred = np.concatenate([error[:, axis] - np.median(error[:, axis]) for error, *_ in vehicles])
         for _ in range(10):
             normal = (rows * robust_weight[:, None]).T @ rows
             slope[axis] = np.linalg.solve(normal, rows.T @ (robust_weight * centred))
