@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -132,10 +131,7 @@ class History:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ExtrinsicState(Extrinsic):
-    """The state of one extrinsic of one vehicle, between two services, over all its checks.
-
-    `change` are the significant changes of its error at the service with which it begins: after minus before.
-    """
+    """The state of one extrinsic of one vehicle, between two services, over all its checks."""
 
     first: float
     last: float
@@ -145,16 +141,14 @@ class ExtrinsicState(Extrinsic):
     frames: int
     status: FleetStatus
     reason: str
-    log_e: Float
     mean: MeanError | None
     alarm: Alarm | None
     history: History
-    change: tuple[AxisError, ...] = ()
 
     @property
     def total_log_e(self) -> float:
         """Return the log e-value of the whole extrinsic: the mean over the axes."""
-        return float(np.logaddexp.reduce(self.log_e) - np.log(len(AXES))) if len(self.log_e) else 0.0
+        return float(self.history.log_e[-1])
 
 
 @dataclass(frozen=True)
@@ -231,7 +225,7 @@ def fleet_state(
     if remarks and not states:
         raise InputError("no evidence of the store can be read", where=store.root, got=remarks[0])
     types = _types(states, noise, rules)
-    states = [_attributed(state, types) for state in _with_changes(states)]
+    states = [_attributed(state, types) for state in states]
     return FleetState(rules, tuple(states), types, remarks)
 
 
@@ -276,7 +270,7 @@ def _state(extrinsic: Extrinsic, checks: Checks, noise: PairNoise, rules: FleetR
     own = checks.take(np.flatnonzero(checks.usable))
     error, covariance = noise.without_trend(own), noise.covariance_of(own)
     logs = np.concatenate([np.zeros((1, len(AXES))), e_process(error, covariance, rules.sizes("tolerance"))])
-    texts = checks.texts
+    texts, recent = checks.texts, checks.usable[-_RECENT:]
     state = ExtrinsicState(
         **vars(extrinsic),
         first=float(checks.time[0]),
@@ -286,8 +280,7 @@ def _state(extrinsic: Extrinsic, checks: Checks, noise: PairNoise, rules: FleetR
         unreadable=int((texts["verdict"] == Verdict.UNREADABLE.value).sum()),
         frames=int(checks.frame_count.sum()),
         status=FleetStatus.CANNOT_TELL,
-        reason=_last_reason(checks),
-        log_e=logs[-1],
+        reason="" if recent.any() else f"no estimate in the last {len(recent)} checks: {texts['reason'][-1]}",
         mean=mean_error(error[-_MEAN_OF:], covariance[-_MEAN_OF:]) if len(own) else None,
         alarm=None,
         history=_history(checks, error, covariance, logs),
@@ -296,14 +289,9 @@ def _state(extrinsic: Extrinsic, checks: Checks, noise: PairNoise, rules: FleetR
     # No e-value below 1 / rate is a discovery, whatever the others are.
     if not len(posed) or state.total_log_e < -np.log(rules.rate):
         return state
-    alarm = _alarm(state, own, error, covariance, checks.pose[posed[-1]], rules)
+    alarm = _alarm(int(logs[-1].argmax()), own, error, covariance, checks.pose[posed[-1]], rules)
     status = FleetStatus.WRONG if alarm.since <= own.time[0] else FleetStatus.SLIPPED
     return replace(state, alarm=alarm, status=status)
-
-
-def _last_reason(checks: Checks) -> str:
-    recent = checks.usable[-_RECENT:]
-    return "" if recent.any() else f"no estimate in the last {len(recent)} checks: {checks.texts['reason'][-1]}"
 
 
 def _history(checks: Checks, error: Float, covariance: Float, logs: Float) -> History:
@@ -366,11 +354,11 @@ def _ended(alarm: Alarm, later: ExtrinsicState) -> bool:
     return any(np.sign(one.size) * undone[_AXIS[one.axis]] > significant[_AXIS[one.axis]] for one in alarm.axes)
 
 
-def _alarm(
-    state: ExtrinsicState, own: Checks, error: Float, covariance: Float, pose: Float, rules: FleetRules
-) -> Alarm:
-    """Return the alarm of a state from its usable checks, their errors without trend, and the extrinsic in use."""
-    axis = int(state.log_e.argmax())
+def _alarm(axis: int, own: Checks, error: Float, covariance: Float, pose: Float, rules: FleetRules) -> Alarm:
+    """Return the alarm of the usable checks of an extrinsic, whose evidence is strongest on `axis`.
+
+    `error` (T, 6) are their errors without trend, with their `covariance`; `pose` (4, 4) is the extrinsic in use.
+    """
     began = onset(error[:, axis], np.sqrt(covariance[:, axis, axis]))
     alone, alone_sigma = conditional(error, covariance)
     if began.index == 0:  # the change may show only if the other axes are taken as constant
@@ -481,17 +469,3 @@ def _attributed(state: ExtrinsicState, types: Sequence[TypeState]) -> ExtrinsicS
         for error in state.alarm.axes
     )
     return replace(state, alarm=replace(state.alarm, systematic=same))
-
-
-def _with_changes(states: Sequence[ExtrinsicState]) -> Iterator[ExtrinsicState]:
-    """Yield the states with the significant changes at services (99.9 %)."""
-    yield from states[:1]
-    for before, after in pairwise(states):
-        same = (before.vehicle, *before.pair, before.digest) == (after.vehicle, *after.pair, after.digest)
-        if not same or before.service == after.service or before.mean is None or after.mean is None:
-            yield after
-            continue
-        change = after.mean.error - before.mean.error
-        sigma = np.sqrt(after.mean.sigma**2 + before.mean.sigma**2)
-        axes = np.flatnonzero(np.abs(change) > _SIGNIFICANT * sigma)
-        yield replace(after, change=_axis_errors(axes.tolist(), change[axes], sigma))

@@ -1,8 +1,7 @@
-"""Files of a report on a fleet: JSON and proposed extrinsics."""
+"""The report on a fleet as JSON and as text."""
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, fields
@@ -10,29 +9,21 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from p2o.arrays import Float
 from p2o.files.whole_file import json_text, make_writable, write_errors, write_whole
 
 from p2o_fleet.fleet_state import ExtrinsicState, FleetState, FleetStatus, TypeState, amount
 from p2o_fleet.segments import Extrinsic
 
-STATE, PROPOSALS = "fleet.json", "proposals"
+STATE = "fleet.json"
 _STRENGTH = 300.0
 """Upper limit of the natural logarithm of an e-value in files: larger ones do not fit a number of JSON readers."""
 
 
-def write_outputs(state: FleetState, folder: Path) -> dict[str, Any]:
-    """Write `fleet.json` and `proposals/*.txt` to a folder; return the content of JSON.
-
-    Raises InputError if the folder cannot be written.
-    """
+def write_state(state: FleetState, folder: Path) -> dict[str, Any]:
+    """Write `fleet.json` to a folder and return its content; raises InputError if the folder cannot be written."""
     with write_errors("the report on the fleet", folder):
         make_writable(folder)
-        (folder / PROPOSALS).mkdir(exist_ok=True)
     plain = state_dict(state)
-    for one in state.alarms:
-        assert one.alarm is not None
-        write_whole(folder / PROPOSALS / proposal_name(one), matrix_text(one.alarm.proposal).encode())
     write_whole(folder / STATE, json_text(plain).encode())
     return plain
 
@@ -40,17 +31,6 @@ def write_outputs(state: FleetState, folder: Path) -> dict[str, Any]:
 def iso(time: float) -> str:
     """Return a time in s since 1970 as ISO 8601 in UTC."""
     return datetime.fromtimestamp(time, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-
-
-def proposal_name(state: ExtrinsicState) -> str:
-    """Return the file name of a proposed extrinsic."""
-    name = "_".join(re.sub(r"[^\w.-]", "-", part) for part in (state.vehicle, state.camera, state.lidar))
-    return f"{name}_{state.digest[:8]}.txt"
-
-
-def matrix_text(camera_from_lidar: Float) -> str:
-    """Return a pose (4, 4) as text that `--extrinsic` and `p2o convert` read."""
-    return "\n".join(" ".join(f"{value:.12g}" for value in row) for row in camera_from_lidar) + "\n"
 
 
 def state_dict(state: FleetState) -> dict[str, Any]:
@@ -62,7 +42,6 @@ def state_dict(state: FleetState) -> dict[str, Any]:
         "statuses": status_counts(state),
         "alarms": [_alarm_dict(one) for one in state.alarms],
         "types": [_type_dict(one) for one in state.types],
-        "services": [_service_dict(one) for one in state.extrinsics if one.change],
         "extrinsics": [extrinsic_dict(one) for one in state.extrinsics],
         "remarks": list(state.remarks),
     }
@@ -94,11 +73,6 @@ def extrinsic_dict(state: ExtrinsicState) -> dict[str, Any]:
         "error": None if state.mean is None else state.mean.error.round(6).tolist(),
         "sigma": None if state.mean is None else state.mean.sigma.round(6).tolist(),
     }
-
-
-def _service_dict(state: ExtrinsicState) -> dict[str, Any]:
-    names = {name: getattr(state, name) for name in ("vehicle", "camera", "lidar", "service")}
-    return {**names, "time": iso(state.first), "axes": [asdict(axis) for axis in state.change]}
 
 
 def _alarm_dict(state: ExtrinsicState) -> dict[str, Any]:

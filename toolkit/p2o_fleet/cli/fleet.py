@@ -140,7 +140,7 @@ def _show_progress() -> Callable[[RunOutcome, Evidence], None]:
 def report(store: str, out: str, jobs: int, require: bool, as_json: bool, **rules: Any) -> int:
     """Compute the state of every extrinsic from the stored evidence, and write the report.
 
-    Writes index.html (a page that works offline), fleet.json and proposed extrinsics to DIR.
+    Writes index.html (a page that works offline) and fleet.json to DIR.
 
     \b
     p2o fleet report --store fleet --out report
@@ -152,13 +152,13 @@ def report(store: str, out: str, jobs: int, require: bool, as_json: bool, **rule
     from p2o_study.parallel import Workers
 
     from p2o_fleet.fleet_state import FleetRules, FleetStatus, fleet_state
-    from p2o_fleet.outputs import summary_lines, write_outputs
+    from p2o_fleet.outputs import summary_lines, write_state
     from p2o_fleet.page import write_page
     from p2o_fleet.store import Store
 
     state = fleet_state(Store.existing(store), FleetRules(**rules), Workers(jobs))
     folder = Path(out).expanduser()
-    plain = write_outputs(state, folder)
+    plain = write_state(state, folder)
     write_page(state, folder)
     if as_json:
         print_json(plain)
