@@ -12,7 +12,6 @@ from p2o.errors import InputError, printable
 
 from p2o_fleet.drive import MAX_TEXT, TEMPERATURES
 from p2o_fleet.evidence import COLUMNS, ERROR_COLUMNS, Verdict, arrow_schema, symmetric
-from p2o_fleet.parquet_file import check_texts
 
 TEXTS = tuple(name for name, kind in COLUMNS.items() if kind in (str, Verdict) and name != "vehicle")
 """Columns of texts, without that of the vehicle."""
@@ -62,16 +61,13 @@ class Checks:
     def of(cls, table: Any, vehicle: str | None = None) -> Checks:
         """Return the checks of an Arrow table with the columns `READ`, in its order.
 
-        Raises InputError if a column is missing, has another type, or contains a value that no check has, such as
-        another `vehicle`.
+        Raises InputError if a column has another type or contains a value that no check has, such as another `vehicle`.
         """
         import pyarrow as pa
 
-        for name in READ:
-            if name not in table.column_names:
-                raise InputError(f"there is no column {name}", expected=", ".join(READ))
-        check_texts(table)
         try:
+            if "frames" in table.column_names:
+                _texts("frames", pa.chunked_array([table["frames"].combine_chunks().flatten()]))
             texts = {name: _texts(name, table[name]) for name in ("vehicle", *TEXTS)}
             moments = table["time"].cast(pa.timestamp("us", "UTC")).cast(pa.int64())
             time = _numbers("time", moments, 0.0, 1e6 * _MAX_TIME, required=True) / 1e6

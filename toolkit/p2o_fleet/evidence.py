@@ -106,13 +106,3 @@ def table_of(rows: Iterable[Mapping[str, Any]]) -> Any:
         return pa.Table.from_pylist(timed, schema=arrow_schema())
     except (pa.ArrowException, LookupError, TypeError, ValueError, OverflowError) as problem:
         raise InputError("a value of the row is missing or has a wrong type", got=repr(problem)) from problem
-
-
-def with_schema(table: Any) -> Any:
-    """Return a table with the columns of `arrow_schema`; those that it lacks are null."""
-    import pyarrow as pa
-
-    schema = arrow_schema()
-    for name in COLUMNS.keys() - set(table.column_names):
-        table = table.append_column(name, pa.nulls(len(table), schema.field(name).type))
-    return table.select(list(COLUMNS)).cast(schema)

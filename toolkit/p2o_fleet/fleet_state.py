@@ -426,46 +426,27 @@ def _types(
     states: Sequence[ExtrinsicState], noise: Mapping[Pair, PairNoise], rules: FleetRules
 ) -> tuple[TypeState, ...]:
     """Return the types of vehicles with their systematic errors."""
-    groups: dict[Pair, list[ExtrinsicState]] = {}
+    groups: dict[Pair, list[MeanError]] = {}
     for state in states:
         if state.current and state.mean is not None:
-            groups.setdefault(state.pair, []).append(state)
-    tolerance = rules.sizes("type_tolerance")
-    tests = {}
-    for pair, group in groups.items():
-        if len(group) >= _MIN_VEHICLES:
-            means = [state.mean for state in group if state.mean is not None]
-            tests[pair] = systematic(np.stack([m.error for m in means]), np.stack([m.sigma for m in means]), tolerance)
-    rejected = discoveries(np.concatenate([np.zeros(0), *(test.log_e for test in tests.values())]), rules.rate)
-    alarms = dict(zip(tests, rejected.reshape(-1, len(AXES)), strict=True))
+            groups.setdefault(state.pair, []).append(state.mean)
     types = []
-    for pair, group in sorted(groups.items()):
-        test, own = tests.get(pair), noise.get(pair, PairNoise())
-        errors = () if test is None else _axis_errors(range(len(AXES)), test.error, test.sigma)
-        types.append(
-            TypeState(
-                *pair,
-                len(group),
-                errors,
-                tuple(error for error, is_alarm in zip(errors, alarms.get(pair, ()), strict=False) if is_alarm),
-                () if test is None else tuple(map(float, test.log_e)),
-                own.scale,
-                tuple(own.trend_texts()),
-            )
-        )
-    return tuple(types)
+    for pair, means in sorted(groups.items(), key=lambda item: item[0]):
+        own, errors, log_e = noise.get(pair, PairNoise()), tuple[AxisError, ...](), tuple[float, ...]()
+        if len(means) >= _MIN_VEHICLES:
+            error, sigma = (np.stack([getattr(mean, name) for mean in means]) for name in ("error", "sigma"))
+            test = systematic(error, sigma, rules.sizes("type_tolerance"))
+            errors, log_e = _axis_errors(range(len(AXES)), test.error, test.sigma), tuple(test.log_e.tolist())
+        types.append(TypeState(*pair, len(means), errors, (), log_e, own.scale, tuple(own.trend_texts())))
+    rejected = iter(discoveries(np.array([value for one in types for value in one.log_e]), rules.rate).tolist())
+    return tuple(replace(one, alarms=tuple(error for error in one.errors if next(rejected))) for one in types)
 
 
 def _attributed(state: ExtrinsicState, types: Sequence[TypeState]) -> ExtrinsicState:
     """Mark the alarm of an extrinsic as systematic if the errors of its axes are those of its type."""
     if state.alarm is None:
         return state
-    own = next((one for one in types if (one.vehicle_type, one.camera, one.lidar) == state.pair), None)
-    common = {} if own is None else {error.axis: error for error in own.alarms}
-    same = bool(common) and all(
-        error.axis in common
-        and np.sign(error.size) == np.sign(common[error.axis].size)
-        and 0.5 < error.size / common[error.axis].size < 2
-        for error in state.alarm.axes
-    )
+    own = [one for one in types if (one.vehicle_type, one.camera, one.lidar) == state.pair]
+    common = {error.axis: error.size for one in own for error in one.alarms}
+    same = all(part.axis in common and 0.5 < part.size / common[part.axis] < 2 for part in state.alarm.axes)
     return replace(state, alarm=replace(state.alarm, systematic=same))

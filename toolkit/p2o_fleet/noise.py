@@ -23,6 +23,10 @@ _MIN_VEHICLES = 5
 _DAY_S = 86400.0
 
 
+def _no_trend() -> Trend:
+    return Trend(np.zeros((len(AXES), len(COVARIATES))), np.full((len(AXES), len(COVARIATES)), np.inf))
+
+
 @dataclass(frozen=True, eq=False)
 class PairNoise:
     """How errors of checks of a type and pair of sensors vary at a constant extrinsic.
@@ -31,7 +35,7 @@ class PairNoise:
     """
 
     scale: tuple[float, ...] = (1.0,) * len(AXES)
-    trend: Trend | None = None
+    trend: Trend = field(default_factory=_no_trend)
     reference: Float = field(default_factory=lambda: np.zeros(len(COVARIATES)))
 
     def covariance_of(self, checks: Checks) -> Float:
@@ -40,16 +44,13 @@ class PairNoise:
 
     def without_trend(self, checks: Checks) -> Float:
         """Return the errors (T, 6) of checks without the significant trends; unknown covariates change nothing."""
-        if self.trend is None or not len(checks):
-            return checks.error
         covariates = np.nan_to_num(covariates_of(checks) - self.reference)
         return np.asarray(checks.error - covariates @ self.trend.significant.T)
 
     def trend_texts(self) -> Iterator[str]:
         """Yield the significant trends as texts."""
-        slopes = np.zeros((len(AXES), 0)) if self.trend is None else self.trend.significant
+        slopes = self.trend.significant
         for axis, number in np.argwhere(slopes):
-            assert self.trend is not None
             size, sigma = slopes[axis, number], self.trend.sigma[axis, number]
             yield f"{AXES[axis][0]} {size:+.2g} +- {sigma:.2g} {AXES[axis][1]} per {COVARIATES[number]}"
 
@@ -99,7 +100,7 @@ def _pair_noise(samples: Sequence[Checks]) -> PairNoise:
     slopes = trend(parts) if columns and len(parts) >= _MIN_VEHICLES else None
     if slopes is None:
         return PairNoise(scale)
-    full = Trend(np.zeros((len(AXES), len(COVARIATES))), np.full((len(AXES), len(COVARIATES)), np.inf))
+    full = _no_trend()
     full.slope[:, columns], full.sigma[:, columns] = slopes.slope, slopes.sigma
     reference = np.zeros(len(COVARIATES))
     reference[columns] = np.nanmedian(every[:, columns], axis=0)

@@ -16,17 +16,17 @@ from typing import IO, Any
 from urllib.parse import quote, unquote
 
 from p2o.errors import InputError, P2OError
-from p2o.files.input_file import expanded, read_bytes
+from p2o.files.input_file import expanded, naming, read_bytes
 from p2o.files.parsed_text import parse_json
 from p2o.files.whole_file import sync_folder, write_errors, write_synced
 
 from p2o_fleet.checks import READ, Checks
 from p2o_fleet.drive import Drive, month_of
-from p2o_fleet.evidence import COLUMNS, Evidence, Verdict, table_of, with_schema
-from p2o_fleet.parquet_file import open_parquet
+from p2o_fleet.evidence import COLUMNS, Evidence, Verdict, arrow_schema, table_of
+from p2o_fleet.parquet_file import read_parquet
 
-_FOLD_ROWS = 5000
-"""Number of rows after which a journal becomes Parquet files."""
+_FOLD_BYTES = 4 << 20
+"""Size at which a journal becomes Parquet files: about 5,000 rows."""
 _ATTEMPTS = 10
 _MAX_VEHICLES = 1024
 """Number of vehicles whose keys are remembered."""
@@ -80,12 +80,13 @@ class Store:
             journalled.setdefault(row["vehicle"], []).append(row)
         for vehicle in self.vehicles() if vehicles is None else vehicles:
             damaged = list(lost)
-            parts = self._parts_read(vehicle, damaged)
+            parts = self.parts_read(vehicle, damaged)
             if vehicle in journalled:
                 parts.append(Checks.of(table_of(journalled[vehicle])))
             yield Checks.joined(vehicle, parts, damaged)
 
-    def _parts_read(self, vehicle: str, damaged: list[str]) -> list[Checks]:
+    def parts_read(self, vehicle: str, damaged: list[str]) -> list[Checks]:
+        """Return the checks of each Parquet file of a vehicle; `damaged` names those that are skipped."""
         for _ in range(_ATTEMPTS):
             paths, skipped = self.parts(vehicle), list[str]()
             with contextlib.suppress(FileNotFoundError):
@@ -144,13 +145,15 @@ class Store:
             for path in self.parts(vehicle, month):
                 with contextlib.suppress(FileNotFoundError):  # another process was faster
                     if (part := _read(path, vehicle, [], tuple(COLUMNS))) is not None:
-                        before[path] = with_schema(part[0])
+                        before[path] = part[0].cast(arrow_schema())
             if len(group) + sum(map(len, before.values())) > _MAX_ROWS:
                 before = {}
-            table = _rows_once(pa.concat_tables([*before.values(), table_of(group)]))
+            table = pa.concat_tables([*before.values(), table_of(group)])
+            identities = list(zip(*(table[name].to_pylist() for name in ("key", "verdict", "reason")), strict=True))
+            first = {identity: number for number, identity in reversed(list(enumerate(identities)))}
+            table = table.take(sorted(first.values()))
             # The name depends on the checks: processes that write different ones do not replace each other's file.
-            keys = sorted(map("".join, zip(*(table[name].to_pylist() for name in ("key", "verdict")), strict=True)))
-            digest = hashlib.sha256("\n".join(keys).encode()).hexdigest()[:24]
+            digest = hashlib.sha256(json.dumps(sorted(first)).encode()).hexdigest()[:24]
             path = self.folder(vehicle) / f"day={month}" / f"part-{digest}.parquet"
             content = BytesIO()
             pq.write_table(table, content, compression="zstd", use_dictionary=True)
@@ -179,7 +182,6 @@ class Writer:
     store: Store
     damaged: list[str] = field(default_factory=list)
     own: set[str] = field(default_factory=set)
-    _count: int = 0
     _journal: IO[bytes] | None = None
     _path: Path = Path()
 
@@ -199,11 +201,8 @@ class Writer:
     def _keys_of(self, vehicle: str) -> set[str]:
         """Return the keys of the finished checks of a vehicle in Parquet files."""
         keys: set[str] = set()
-        for path in self.store.parts(vehicle):
-            with contextlib.suppress(FileNotFoundError):
-                if (part := _read(path, vehicle, self.damaged)) is not None:
-                    texts = part[1].texts
-                    keys.update(texts["key"][texts["verdict"] != Verdict.UNREADABLE.value].tolist())
+        for part in self.store.parts_read(vehicle, self.damaged):
+            keys.update(part.texts["key"][part.texts["verdict"] != Verdict.UNREADABLE.value].tolist())
         return keys
 
     def put(self, evidence: Evidence) -> None:
@@ -213,17 +212,16 @@ class Writer:
         """
         row = evidence.row()
         with write_errors("evidence", self.store.journals, "free some space, then run the same command again"):
-            _append(self._open(), json.dumps(row, allow_nan=False).encode() + b"\n")
+            size = _append(self._open(), json.dumps(row, allow_nan=False).encode() + b"\n")
         self.own.update(_finished([row]))
-        self._count += 1
-        if self._count >= _FOLD_ROWS:
+        if size > _FOLD_BYTES:
             self.fold()
 
     def _open(self) -> IO[bytes]:
         if self._journal is None:
             # Locked before it has the name of a journal: another process would take it for that of a killed writer.
             name = self.store.journals / uuid.uuid4().hex
-            self._journal, self._count = name.open("xb", buffering=0), 0
+            self._journal = name.open("xb", buffering=0)
             _lock(self._journal)
             self._path = name.rename(name.with_suffix(".jsonl"))
             sync_folder(self.store.journals)
@@ -242,13 +240,14 @@ def _finished(rows: Iterable[Row]) -> Iterator[str]:
     return (row["key"] for row in rows if row["verdict"] != Verdict.UNREADABLE.value)
 
 
-def _append(file: IO[bytes], line: bytes) -> None:
-    """Write a line to the disk, whole or not at all."""
+def _append(file: IO[bytes], line: bytes) -> int:
+    """Write a line to the disk, whole or not at all; return the size of the file."""
     before = file.seek(0, os.SEEK_END)
     try:
         if file.write(line) < len(line):
             raise OSError(0, "the disk is full")
         os.fsync(file.fileno())
+        return before + len(line)
     except OSError:
         file.truncate(before)
         raise
@@ -260,9 +259,8 @@ def _read(path: Path, vehicle: str, damaged: list[str], names: Sequence[str] = R
     Raises FileNotFoundError if another file has replaced it.
     """
     try:
-        with open_parquet(path, "evidence", _MAX_ROWS) as file:
-            stored = set(file.schema_arrow.names)
-            table = file.read([name for name in names if name in stored], use_threads=False)
+        table = read_parquet(path, "evidence", names, _MAX_ROWS)
+        with naming(path):
             return table, Checks.of(table, vehicle)
     except InputError as problem:
         _skip(problem, damaged)
@@ -274,14 +272,6 @@ def _skip(problem: InputError, damaged: list[str]) -> None:
     if isinstance(problem.__cause__, FileNotFoundError):
         raise problem.__cause__ from problem
     damaged.append(str(problem))
-
-
-def _rows_once(table: Any) -> Any:
-    """Return the rows of a table without those that repeat a key with the same verdict and reason."""
-    names = ("key", "verdict", "reason")
-    identities = zip(*(table[name].to_pylist() for name in names), strict=True)
-    first = {identity: number for number, identity in reversed(list(enumerate(identities)))}
-    return table.take(sorted(first.values()))
 
 
 def _journals(folder: Path, damaged: list[str]) -> list[Path]:

@@ -15,7 +15,7 @@ from p2o.arrays import Float
 from p2o.confidence.audit import EdgeStep, Rates, audit
 from p2o.confidence.audit import Evidence as EdgeEvidence
 from p2o.confidence.frame_choice import SeenEdges, choose
-from p2o.errors import InputError, P2OError, one_line
+from p2o.errors import InputError, P2OError, one_line, printable
 from p2o.features.view import View
 from p2o.frames.direction import Direction, pose_direction
 from p2o.frames.frame import Frame
@@ -36,7 +36,7 @@ from p2o_fleet.evidence import Evidence, Verdict, estimate_columns
 
 _REACH_PX = 15.0
 """Matching distance for the choice of frames, as in a check."""
-_MAX_REASON = 300
+_MAX_REASON, _MAX_NAME = 300, 100
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ def _checked(job: DriveJob) -> Evidence:
         reason=one_line(reason, _MAX_REASON),
         **figures,
         camera_from_lidar=tuple(pose[:3].ravel().tolist()),
-        frames=tuple(frames[number].name for number in chosen),
+        frames=tuple(printable(frames[number].name, _MAX_NAME) for number in chosen),
         frame_count=len(chosen),
         log=log[:32],
         extrinsic_digest=portable_hash(pose)[:32],
