@@ -108,7 +108,7 @@ def command(
         indices = [index for index in indices if dataset.names[index] in results] or indices
     opener = _Opener(dataset, indices, given, results)
     names = [dataset.names[index] for index in indices]
-    session = ViewSession(names, opener, out, calibrate=partial(_calibrated, registry), registry=registry)
+    session = ViewSession(names, opener, partial(_calibrated, registry), out, registry=registry)
     with ViewServer(session, host, port) as server:
         click.echo(f"view at {server.url} (Ctrl-C here ends it)")
         server.serve(browser=not no_browser)
