@@ -104,10 +104,8 @@ def test_without_arrow_the_command_names_the_extra(
         ["run", "drives.txt"],
         ["report", "--store", "nothing"],
         ["report", "--rate", "2"],
-        ["simulate", "out", "--rigs", "moon"],
         ["simulate", "out", "--seed", "-1"],
         ["simulate", "out", "--vehicles", "0"],
-        ["simulate", "out", "--per-day", "0"],
         ["simulate", "out", "--faults", "nan"],
     ],
 )

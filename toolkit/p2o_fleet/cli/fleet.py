@@ -38,7 +38,7 @@ def command() -> None:
 _option = partial(click.option, show_default=True)
 _store = _option("--store", default="p2o-out/fleet", metavar="DIR", help="Folder of the stored evidence.")
 _COUNT, _SEED = click.IntRange(1, 1_000_000), click.IntRange(0)
-_RATE, _SHARE, _DEG = click.FloatRange(0.01, 1e6), click.FloatRange(0, 1), click.FloatRange(-90, 90)
+_SHARE, _DEG = click.FloatRange(0, 1), click.FloatRange(-90, 90)
 
 
 @command.command("run")
@@ -173,14 +173,10 @@ def report(store: str, out: str, jobs: int, require: bool, as_json: bool, **rule
 @click.argument("out")
 @_option("--vehicles", type=_COUNT, default=1000, metavar="N", help="Number of vehicles.")
 @_option("--checks", type=_COUNT, default=100, metavar="N", help="Number of checks of each vehicle.")
-@_option("--per-day", type=_RATE, default=10.0, metavar="N", help="Number of checks per day.")
 @_option("--faults", type=_SHARE, default=0.1, metavar="SHARE", help="Share of vehicles with a fault.")
-@_option("--rigs", default="sim-hdl-64e,kitti", metavar="NAME,...", help="Rigs of the noise.")
 @_option("--wrong-cad", type=_DEG, default=0.0, metavar="DEG", help="Yaw error of all vehicles of one type.")
 @_option("--seed", type=_SEED, default=0, metavar="N", help="Seed of all random numbers.")
-def simulate(
-    out: str, vehicles: int, checks: int, per_day: float, faults: float, rigs: str, wrong_cad: float, seed: int
-) -> int:
+def simulate(out: str, vehicles: int, checks: int, faults: float, wrong_cad: float, seed: int) -> int:
     """Write the store of a simulated fleet: measured evidence of real and simulated rigs, resampled, with faults.
 
     Half of the faults are slips; the others are drifts, swapped cameras, dirty lenses, broken logs and clock errors.
@@ -199,7 +195,7 @@ def simulate(
     store = Store(Path(out).expanduser())
     if store.checks_folder.exists():
         raise InputError("the folder contains a store", where=out, expected="a new folder")
-    scenario = Scenario(vehicles, checks, per_day, tuple(rigs.split(",")), shares, wrong_cad_deg=wrong_cad, seed=seed)
+    scenario = Scenario(vehicles, checks, shares=shares, wrong_cad_deg=wrong_cad, seed=seed)
     total = write_fleet(simulated_fleet(scenario, NoiseBank.shipped()), store)
     click.echo(f"{total} checks of {vehicles} vehicles written to {out}")
     return 0
