@@ -7,6 +7,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -131,7 +132,10 @@ class History:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ExtrinsicState(Extrinsic):
-    """The state of one extrinsic of one vehicle, between two services, over all its checks."""
+    """The state of one extrinsic of one vehicle, between two services, over all its checks.
+
+    `current` is whether it is in use.
+    """
 
     first: float
     last: float
@@ -144,6 +148,7 @@ class ExtrinsicState(Extrinsic):
     mean: MeanError | None
     alarm: Alarm | None
     history: History
+    current: bool = False
 
     @property
     def total_log_e(self) -> float:
@@ -328,18 +333,14 @@ def _in_use(states: Sequence[ExtrinsicState]) -> list[ExtrinsicState]:
     It is the last one, unless an earlier one has an alarm that nothing after it has ended: a new name of an extrinsic
     or service is no evidence that its error has gone.
     """
-    groups: dict[tuple[str, str, str], list[int]] = {}
-    for number, one in enumerate(states):
-        groups.setdefault((one.vehicle, one.camera, one.lidar), []).append(number)
-    out = list(states)
-    for own in groups.values():
-        in_use = own[-1]
-        for at, number in enumerate(own):
-            alarm = states[number].alarm
-            if alarm is not None and not any(_ended(alarm, states[later]) for later in own[at + 1 :]):
+    out = []
+    for _, group in groupby(states, key=lambda one: (one.vehicle, one.camera, one.lidar)):
+        own, in_use = list(group), -1
+        for number, one in enumerate(own):
+            if one.alarm is not None and not any(_ended(one.alarm, later) for later in own[number + 1 :]):
                 in_use = number
-        for number in own:
-            out[number] = replace(states[number], current=number == in_use)
+        own[in_use] = replace(own[in_use], current=True)
+        out += own
     return out
 
 

@@ -54,7 +54,7 @@ def status_counts(state: FleetState) -> dict[str, int]:
 
 
 def _identity(state: ExtrinsicState) -> dict[str, Any]:
-    return {one.name: getattr(state, one.name) for one in fields(Extrinsic) if one.name != "current"}
+    return {one.name: getattr(state, one.name) for one in fields(Extrinsic)}
 
 
 def _strength(log_e: float) -> float:

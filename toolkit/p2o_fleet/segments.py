@@ -19,10 +19,7 @@ _MIN_CHECKS = 2
 
 @dataclass(frozen=True, kw_only=True)
 class Extrinsic:
-    """One extrinsic of one vehicle between two services: its text in the table of drives, and `digest` of its values.
-
-    `current` is whether it is in use: the last one of its sensors.
-    """
+    """One extrinsic of a vehicle between two services: its text in the table of drives, and `digest` of its values."""
 
     vehicle: str
     vehicle_type: str
@@ -31,7 +28,6 @@ class Extrinsic:
     extrinsic: str
     digest: str
     service: str
-    current: bool
 
     @property
     def pair(self) -> Pair:
@@ -61,7 +57,7 @@ def segments_of(checks: Checks, now: float = math.inf) -> Iterator[tuple[Extrins
             types, counts = np.unique(own.texts["vehicle_type"].astype(str), return_counts=True)
             last = {name: str(own.texts[name][-1]) for name in ("camera", "lidar", "extrinsic", "service")}
             last |= {"digest": str(digests[kept[begin]]), "vehicle_type": str(types[counts.argmax()])}
-            yield Extrinsic(vehicle=checks.vehicle, **last, current=bool(end == len(kept))), own
+            yield Extrinsic(vehicle=checks.vehicle, **last), own
 
 
 def _changes(names: Any) -> Any:
