@@ -20,22 +20,13 @@ _STRENGTH = 300.0
 
 
 def write_state(state: FleetState, folder: Path) -> dict[str, Any]:
-    """Write `fleet.json` to a folder and return its content; raises InputError if the folder cannot be written."""
+    """Write `fleet.json` to a folder, and return its content: dicts, lists, numbers, texts and None, no histories.
+
+    Raises InputError if the folder cannot be written.
+    """
     with write_errors("the report on the fleet", folder):
         make_writable(folder)
-    plain = state_dict(state)
-    write_whole(folder / STATE, json_text(plain).encode())
-    return plain
-
-
-def iso(time: float) -> str:
-    """Return a time in s since 1970 as ISO 8601 in UTC."""
-    return datetime.fromtimestamp(time, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-
-
-def state_dict(state: FleetState) -> dict[str, Any]:
-    """Return the state of a fleet as dicts, lists, numbers, texts and None; histories are left out."""
-    return {
+    plain = {
         "until": iso(state.until),
         "checks": state.checks,
         "rules": asdict(state.rules),
@@ -45,6 +36,13 @@ def state_dict(state: FleetState) -> dict[str, Any]:
         "extrinsics": [extrinsic_dict(one) for one in state.extrinsics],
         "remarks": list(state.remarks),
     }
+    write_whole(folder / STATE, json_text(plain).encode())
+    return plain
+
+
+def iso(time: float) -> str:
+    """Return a time in s since 1970 as ISO 8601 in UTC."""
+    return datetime.fromtimestamp(time, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
 def status_counts(state: FleetState) -> dict[str, int]:
