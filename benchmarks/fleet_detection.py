@@ -15,11 +15,13 @@ import numpy as np
 from limits_and_tables import table
 from p2o.arrays import Bool, Float, Int
 from p2o.confidence.audit import AXES
+from p2o_fleet.fleet_state import FleetRules
+from p2o_fleet.noise import PairNoise
 from p2o_fleet.simulation import Fault, NoiseBank, Scenario, SimulatedVehicle, simulated_fleet
-from p2o_fleet.statistics import NoiseModel, discoveries, e_process, local_deviations, noise_scale, systematic
+from p2o_fleet.statistics import discoveries, e_process, local_deviations, noise_scale, systematic
 
 RIGS = ("kitti", "sim-hdl-64e")
-RATE = 0.01
+RATE, TOLERANCE = 0.01, FleetRules().sizes("tolerance")
 WITHIN = 200
 _SAMPLED_VEHICLES = 100
 _LONG = 8
@@ -80,14 +82,14 @@ class _Judged:
 
 def _detected(scenario: Scenario, bank: NoiseBank) -> list[str]:
     """Return the columns of a fleet; its alarms are evaluated after every check."""
-    model = noise_of(list(itertools.islice(simulated_fleet(scenario, bank), _SAMPLED_VEHICLES)))
+    noise = noise_of(list(itertools.islice(simulated_fleet(scenario, bank), _SAMPLED_VEHICLES)))
     fleet, total = list[_Judged](), np.zeros((scenario.vehicles, scenario.checks))
     for vehicle in simulated_fleet(scenario, bank):
-        logs = logs_of(vehicle, model)
+        logs = logs_of(vehicle, noise)
         total[len(fleet)] = np.logaddexp.reduce(logs, axis=1) - np.log(len(AXES))
         frames = np.concatenate([[0], np.cumsum(vehicle.checks.frame_count)])
         begin = {Fault.SLIP: vehicle.begin, Fault.DRIFT: 0}.get(vehicle.fault, scenario.checks)
-        fleet.append(_Judged(replace(vehicle, checks=vehicle.checks.take([])), begin, frames, logs.argmax(axis=1)))
+        fleet.append(_Judged(replace(vehicle, rows=()), begin, frames, logs.argmax(axis=1)))
     rejected = np.stack([discoveries(column, RATE) for column in total.T], axis=1)
     fault = next(iter(scenario.shares), None)
     delays, right, at, false = list[float](), 0, list[float](), Counter[str]()
@@ -110,20 +112,20 @@ def _detected(scenario: Scenario, bank: NoiseBank) -> list[str]:
     return [frames, f"{within} of {len(delays)}", f"{number} of {len(delays)}", delay, error, str(right), wrong]
 
 
-def noise_of(fleet: Sequence[SimulatedVehicle]) -> NoiseModel:
+def noise_of(fleet: Sequence[SimulatedVehicle]) -> PairNoise:
     """Return the noise that a report would estimate from this fleet of one type."""
     deviations = []
     for vehicle in fleet[:_SAMPLED_VEHICLES]:
         own = vehicle.checks.take(np.flatnonzero(vehicle.checks.usable))
         deviations.append(local_deviations(own.error, own.covariance))
-    return NoiseModel(noise_scale(deviations))
+    return PairNoise(noise_scale(deviations))
 
 
-def logs_of(vehicle: SimulatedVehicle, model: NoiseModel) -> Float:
+def logs_of(vehicle: SimulatedVehicle, noise: PairNoise) -> Float:
     """Return the log e-process (T, 6) of a vehicle after each check; checks without an estimate do not change it."""
     usable = vehicle.checks.usable
     own = vehicle.checks.take(np.flatnonzero(usable))
-    logs = np.concatenate([np.zeros((1, len(AXES))), e_process(own.error, own.covariance, model)])
+    logs = np.concatenate([np.zeros((1, len(AXES))), e_process(own.error, noise.covariance_of(own), TOLERANCE)])
     return logs[np.cumsum(usable)]
 
 

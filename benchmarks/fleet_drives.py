@@ -149,7 +149,7 @@ def real(root: Path, out: Path) -> Iterator[str]:
         csv.writer(file).writerows([COLUMNS, *(row for vehicle in fleet for row in vehicle.rows())])
     plugin = ("--plugin", str(_PLUGIN))
     _p2o("fleet", "run", str(drives), *store, "--frames", str(FRAMES), "--candidates", str(FRAMES), *plugin)
-    _p2o("fleet", "report", *store, "--out", str(report), *plugin, allowed=(0, 1))
+    _p2o("fleet", "report", *store, "--out", str(report), allowed=(0, 1))
     alarms = {alarm["vehicle"] for alarm in json.loads((report / "fleet.json").read_text(encoding="utf-8"))["alarms"]}
     state = fleet_state(Store.existing(out / "store"))
     if alarms != {alarm.vehicle for alarm in state.alarms}:

@@ -118,7 +118,6 @@ WITHOUT_EXTRAS = {
     "run;--out;out": "",
     f"check;{SMALL};--extrinsic;truth;--frames;0": "",
     "run;synthetic:?camera=opencv-distorted&megapixels=0.1": "",
-    "rig;sensors.yaml;--out;out": "needs the package matplotlib, which is not installed; run: pip",
     "doctor;--quick": "",
     "methods;--matrix": "",
 }

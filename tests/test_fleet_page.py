@@ -22,6 +22,8 @@ import pytest
 import yaml
 from kills import write_drives
 from p2o.cli import main
+from p2o.host.calibration_file import read_extrinsic_file
+from p2o.host.registry import Registry
 from p2o_fleet.evidence import COLUMNS
 from p2o_fleet.fleet_state import fleet_state
 from p2o_fleet.page import write_page
@@ -95,9 +97,11 @@ def test_the_lines_of_the_page_run(
     capsys.readouterr()
     assert main(words[4][1:]) == 1
     assert "slipped" in capsys.readouterr().out
-    assert sorted(path.name for path in (tmp_path / "simulated-report").iterdir()) == [
-        *("data", "fleet.json", "fleet.prom", "index.html", "proposals", "webhook.json"),
-    ]
+    report = tmp_path / "simulated-report"
+    assert sorted(path.name for path in report.iterdir()) == ["data", "fleet.json", "index.html"]
+    [proposal, *_] = [alarm["proposal"] for alarm in json.loads((report / "fleet.json").read_text())["alarms"]]
+    (tmp_path / "van.txt").write_text("\n".join(" ".join(map(str, row)) for row in proposal))
+    read_extrinsic_file("van.txt", "--extrinsic", registry=Registry.load(environ={}))
 
 
 def test_the_page_names_every_column_of_the_store() -> None:
@@ -211,7 +215,7 @@ def test_a_run_that_cannot_write_ends_with_one_line_and_the_next_one_continues(t
     )
     assert done.returncode == 2, done.stderr
     assert len(done.stderr.splitlines()) == 1
-    assert "evidence" in done.stderr
+    assert "File too large" in done.stderr
     before = _keys(store)
     assert 0 < len(before) < 12, "checks that fit are stored, the next one is not"
     counts = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)

@@ -45,8 +45,8 @@ def server(tmp_path: Path) -> Iterator[ViewServer]:
     session = ViewSession(
         ["one", "two"],
         opened,
+        lambda frame, start: KnownPose(START, "all is well"),
         tmp_path / "start.yaml",
-        calibrate=lambda frame, start: KnownPose(START, "all is well"),
         most_points=3000,
     )
     with ViewServer(session) as server:

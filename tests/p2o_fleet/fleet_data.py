@@ -28,7 +28,7 @@ def evidence(of: Drive, error: Float | None = None, covariance: Float | None = N
     plain: dict[str, object] = {"verdict": Verdict.HOLDS, "reason": "no axis is off by more than its limit"}
     plain |= {"frames": tuple("01234567"), "frame_count": 8, "camera_from_lidar": tuple(POSE[:3].ravel().tolist())}
     plain |= {"log": f"log of {of.data}", "extrinsic_digest": "digest", **estimate, **changes}
-    return Evidence.of(of, of.key(), **plain)  # type: ignore[arg-type]
+    return Evidence(drive=of, key=of.key(), **plain)  # type: ignore[arg-type]
 
 
 def filled(store: Store, vehicle: str, errors: Float, **changes: object) -> None:

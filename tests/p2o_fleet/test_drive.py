@@ -1,11 +1,10 @@
-"""Tables and folders of drives: what they mean, and which row is wrong."""
+"""Tables of drives: what they mean, and which row is wrong."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
 
-import numpy as np
 import pytest
 from p2o.errors import InputError
 from p2o_fleet.drive import Drive, drives_of, parse_time
@@ -15,14 +14,9 @@ ROW = 'van-1,front,top,"ros:a.bag?every_m=5",calib.yaml,2026-01-01T10:00:00+01:0
 EXPECTED = Drive("van-1", "front", "top", "ros:a.bag?every_m=5", "calib.yaml", 1767258000.0, temperature_c=-3.5)
 
 
-def test_csv_and_parquet_tables_give_the_same_drives(tmp_path: Path) -> None:
-    import pyarrow.csv
-    import pyarrow.parquet
-
+def test_a_row_of_a_table_is_a_drive(tmp_path: Path) -> None:
     (tmp_path / "drives.csv").write_text(HEAD + ROW)
-    pyarrow.parquet.write_table(pyarrow.csv.read_csv(tmp_path / "drives.csv"), tmp_path / "drives.parquet")
     assert list(drives_of(str(tmp_path / "drives.csv"))) == [EXPECTED]
-    assert list(drives_of(str(tmp_path / "drives.parquet"))) == [EXPECTED]
 
 
 @pytest.mark.parametrize(
@@ -45,26 +39,9 @@ def test_an_invalid_table_names_row_and_column(tmp_path: Path, text: str, named:
         list(drives_of(str(tmp_path / "drives.csv")))
 
 
-def test_a_folder_of_vehicles_is_a_table(tmp_path: Path) -> None:
-    for name in ("2026-01-02T03-04-05", "2026-01-01T00-00-00.bag", "notes"):
-        (tmp_path / "van-7" / name).mkdir(parents=True)
-    (tmp_path / "van-7" / "vehicle.yaml").write_text("vehicle_type: van\ncamera: front\nextrinsic: calib.json\n")
-    bag, frames = drives_of(str(tmp_path))
-    assert (bag.data, frames.data) == (
-        f"ros:{tmp_path}/van-7/2026-01-01T00-00-00.bag",
-        f"folder:{tmp_path}/van-7/2026-01-02T03-04-05",
-    )
-    assert (frames.vehicle, frames.vehicle_type, frames.camera, frames.lidar) == ("van-7", "van", "front", "lidar")
-    assert frames.extrinsic == str(tmp_path / "van-7" / "calib.json")
-    assert (bag.day, frames.day) == ("2026-01-01", "2026-01-02")
-    (tmp_path / "van-7" / "vehicle.yaml").write_text("kamera: front\n")
-    with pytest.raises(InputError, match=r"vehicle\.yaml"):
-        list(drives_of(str(tmp_path)))
-
-
-@pytest.mark.parametrize("value", ["1767258000", 1767258000, "2026-01-01T09:00:00Z", "2026-01-01 09:00:00"])
-def test_times_are_seconds_or_iso_8601_in_utc(value: object) -> None:
-    assert parse_time(value, "row") == 1767258000.0
+@pytest.mark.parametrize("text", ["1767258000", "1767258000.0", "2026-01-01T09:00:00Z", "2026-01-01 09:00:00"])
+def test_times_are_seconds_or_iso_8601_in_utc(text: str) -> None:
+    assert parse_time(text, "row") == 1767258000.0
 
 
 def test_the_key_changes_with_the_content_of_the_extrinsic_and_with_the_settings(tmp_path: Path) -> None:
@@ -79,10 +56,9 @@ def test_the_key_changes_with_the_content_of_the_extrinsic_and_with_the_settings
 
 
 @pytest.mark.skipif(os.name == "nt", reason="needs pipes and devices")
-@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
 @pytest.mark.parametrize("kind", ["pipe", "device"])
-def test_tables_and_extrinsics_that_are_no_files_are_never_opened(tmp_path: Path, suffix: str, kind: str) -> None:
-    path = tmp_path / f"drives{suffix}"
+def test_tables_and_extrinsics_that_are_no_files_are_never_opened(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "drives.csv"
     if kind == "pipe":
         os.mkfifo(path)
     else:
@@ -90,16 +66,3 @@ def test_tables_and_extrinsics_that_are_no_files_are_never_opened(tmp_path: Path
     with pytest.raises(InputError, match="the table of drives is a"):
         list(drives_of(str(path)))
     assert Drive("a", "front", "top", "folder:x", str(path), 0.0).key(), "an extrinsic is identified by its name"
-
-
-def test_a_table_of_long_equal_texts_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    row = {"vehicle": "a", "camera": "front", "lidar": "top", "data": "x" * 1_000_000, "extrinsic": "e", "time": "0"}
-    rows = pa.array(np.zeros(20_000, np.int32))
-    table = pa.table({name: pa.DictionaryArray.from_arrays(rows, pa.array([text])) for name, text in row.items()})
-    pq.write_table(table, tmp_path / "drives.parquet")
-    assert (tmp_path / "drives.parquet").stat().st_size < 1_000_000
-    with pytest.raises(InputError, match="data is not valid"):
-        list(drives_of(str(tmp_path / "drives.parquet")))

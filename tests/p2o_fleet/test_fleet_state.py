@@ -87,16 +87,16 @@ def test_a_new_extrinsic_begins_a_new_history_and_ends_the_alarm(tmp_path: Path)
     assert not state.alarms
 
 
-def test_a_change_at_a_service_is_reported_by_axis(tmp_path: Path) -> None:
+def test_a_service_begins_a_new_history_with_its_own_error(tmp_path: Path) -> None:
     store = Store(tmp_path)
     filled(store, "a", noise(0, 20), service="")
     after = noise(1, 20) + [0.12, 0, 0, 0, 0, 0]
     store.add(evidence(drive("a", n, service="windscreen"), e).row() for n, e in zip(range(20, 40), after, strict=True))
-    [change] = fleet_state(store).services
-    assert (change.vehicle, change.service, change.time) == ("a", "windscreen", BEGIN + 8640 * 20)
-    [axis] = change.axes
-    assert axis.axis == "roll"
-    assert axis.low < 0.12 < axis.high
+    before, changed = fleet_state(store).extrinsics
+    assert (before.service, changed.service, changed.first) == ("", "windscreen", BEGIN + 8640 * 20)
+    assert before.mean is not None
+    assert changed.mean is not None
+    assert changed.mean.error[0] - before.mean.error[0] == pytest.approx(0.12, abs=0.05)
 
 
 def test_a_wrong_nominal_extrinsic_shows_on_the_type_and_marks_the_alarms_of_its_vehicles(tmp_path: Path) -> None:

@@ -15,7 +15,6 @@ from kills import write_drives
 from p2o.cli import main
 from p2o_fleet.drive import Drive, drives_of
 from p2o_fleet.evidence import Evidence, Verdict
-from p2o_fleet.fetch import local_data
 from p2o_fleet.store import Store
 from p2o_fleet.worker import CheckSettings, DriveJob, check_drive
 from p2o_study.worker import Plugins
@@ -46,22 +45,11 @@ def test_evidence_contains_digests_of_the_content_and_no_image(table: Path, tmp_
     assert len(json.dumps(evidence.row())) < 2000
 
 
-def test_a_log_at_a_url_is_copied_and_removed(table: Path) -> None:
-    drive = next(drives_of(str(table)))
-    path = drive.data.removeprefix("folder:")
-    with local_data(f"folder:file://{path}") as data:
-        copy = Path(data.removeprefix("folder:"))
-        assert sorted(each.name for each in copy.iterdir()) == ["frame"]
-    assert not copy.exists()
-
-
 @pytest.mark.skipif(not Path("/dev/zero").exists(), reason="needs devices")
 def test_a_device_or_pipe_as_log_or_extrinsic_is_a_row_with_the_reason(table: Path, tmp_path: Path) -> None:
     good = next(drives_of(str(table)))
     os.mkfifo(tmp_path / "pipe.yaml")
-    shutil.copytree(good.data.removeprefix("folder:"), tmp_path / "copy")
-    (tmp_path / "copy" / "zero").symlink_to("/dev/zero")
-    logs = ("file:///dev/zero", "ros:/dev/zero", "folder:/dev/zero", f"file://{tmp_path}/copy")
+    logs = ("file:///dev/zero", "ros:/dev/zero", "folder:/dev/zero", "https://example.org/a.mcap")
     for bad in (
         *(replace(good, data=data) for data in logs),
         *(replace(good, extrinsic=path) for path in ("/dev/zero", str(tmp_path / "pipe.yaml"))),
@@ -116,10 +104,8 @@ def test_without_arrow_the_command_names_the_extra(
         ["run", "drives.txt"],
         ["report", "--store", "nothing"],
         ["report", "--rate", "2"],
-        ["simulate", "out", "--rigs", "moon"],
         ["simulate", "out", "--seed", "-1"],
         ["simulate", "out", "--vehicles", "0"],
-        ["simulate", "out", "--per-day", "0"],
         ["simulate", "out", "--faults", "nan"],
     ],
 )

@@ -7,7 +7,6 @@ import pytest
 from p2o_fleet.statistics import (
     CLIP,
     SHIFTS,
-    NoiseModel,
     beside_previous,
     bets,
     conditional,
@@ -25,7 +24,7 @@ from p2o_fleet.statistics import (
 
 SIGMA = np.array([0.06, 0.1, 0.06, 0.01, 0.015, 0.01])
 COVARIANCE = np.diag(SIGMA**2)
-EXACT = NoiseModel(tolerance=(0.0,) * 6)
+EXACT, USUAL = np.zeros(6), np.repeat([0.2, 0.03], 3)
 
 
 def noise(rng: np.random.Generator, *shape: int) -> np.ndarray:
@@ -84,9 +83,7 @@ def test_correct_extrinsics_reach_a_threshold_no_more_often_than_ville_permits()
     covariance = np.repeat(COVARIANCE[None], 40, axis=0)
     highest = []
     for _ in range(200):
-        logs = e_process(
-            noise(rng, 40) + rng.uniform(-0.5, 0.5, 6) * SIGMA, covariance, NoiseModel(tolerance=tuple(SIGMA / 2))
-        )
+        logs = e_process(noise(rng, 40) + rng.uniform(-0.5, 0.5, 6) * SIGMA, covariance, SIGMA / 2)
         highest.append(np.logaddexp.reduce(logs, axis=1).max() - np.log(6))
     # P(sup E >= 10) <= 0.1: more than 34 of 200 have a probability below 0.1 %.
     assert np.sum(np.array(highest) > np.log(10)) <= 34
@@ -97,7 +94,7 @@ def test_a_slip_is_detected_on_its_axis_although_the_mounting_has_a_constant_err
     rng = np.random.default_rng(axis)
     error = noise(rng, 60) + SIGMA
     error[30:, axis] += 5 * SIGMA[axis]
-    logs = e_process(error, np.repeat(COVARIANCE[None], 60, axis=0), NoiseModel(tolerance=tuple(3 * SIGMA)))
+    logs = e_process(error, np.repeat(COVARIANCE[None], 60, axis=0), 3 * SIGMA)
     assert (logs[29] < np.log(100)).all()
     assert logs[36].argmax() == axis
     assert logs[36, axis] > np.log(1e5)
@@ -114,7 +111,7 @@ def test_a_change_that_only_shows_with_the_other_axes_constant_is_detected() -> 
     alone, sigma = conditional(error, every)
     assert sigma[0, 4] == pytest.approx(SIGMA[4] * np.sqrt(1 - 0.99**2))
     assert alone[20:, 4].mean() == pytest.approx(SIGMA[4], abs=5 * sigma[0, 4] / np.sqrt(40))
-    assert e_process(error, every, NoiseModel())[-1, 4] > np.log(1e5)
+    assert e_process(error, every, USUAL)[-1, 4] > np.log(1e5)
 
 
 def test_e_bh_rejects_the_largest_set_whose_values_exceed_their_share() -> None:
@@ -177,18 +174,16 @@ def test_a_common_error_of_thirty_vehicles_is_significant_and_their_spread_is_no
 
 def test_a_trend_with_temperature_is_estimated_although_some_vehicles_slip() -> None:
     rng = np.random.default_rng(8)
-    errors, sigmas, covariates = [], [], []
+    vehicles = []
     for number in range(20):
         temperature = rng.uniform(-10, 30, size=(60, 1))
         error = noise(rng, 60) + rng.normal(size=6) * 3 * SIGMA
         error[:, 1] += 0.006 * temperature[:, 0]
         if number < 3:
             error[30:, 1] += 0.5
-        errors.append(error)
-        sigmas.append(np.tile(SIGMA, (60, 1)))
-        covariates.append(temperature)
-    slopes = trend(errors, sigmas, covariates)
+        vehicles.append((error, np.tile(SIGMA, (60, 1)), temperature))
+    slopes = trend(vehicles)
     assert slopes is not None
     assert slopes.slope[1, 0] == pytest.approx(0.006, abs=0.001)
     assert np.flatnonzero(slopes.significant).tolist() == [1]
-    assert trend(errors[:1], sigmas[:1], [np.ones((60, 1))]) is None, "a constant covariate has no trend"
+    assert trend([(*vehicles[0][:2], np.ones((60, 1)))]) is None, "a constant covariate has no trend"

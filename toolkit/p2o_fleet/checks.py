@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from p2o.arrays import Bool, Float, Int
-from p2o.confidence.audit import AXES
 from p2o.errors import InputError, printable
 
-from p2o_fleet.drive import TEMPERATURES
-from p2o_fleet.evidence import ERROR_COLUMNS, UPPER, Evidence, Verdict, arrow_schema
-from p2o_fleet.parquet_file import MAX_TEXT, check_texts
+from p2o_fleet.drive import MAX_TEXT, TEMPERATURES
+from p2o_fleet.evidence import COLUMNS, ERROR_COLUMNS, Verdict, arrow_schema, symmetric
 
-TEXTS = tuple(one.name for one in fields(Evidence) if one.type in ("str", "Verdict") and one.name != "vehicle")
+TEXTS = tuple(name for name, kind in COLUMNS.items() if kind in (str, Verdict) and name != "vehicle")
 """Columns of texts, without that of the vehicle."""
 READ = ("vehicle", "time", *TEXTS, "temperature_c", *ERROR_COLUMNS, "covariance", "camera_from_lidar", "frame_count")
 """Columns that `Checks.of` needs."""
@@ -63,16 +61,13 @@ class Checks:
     def of(cls, table: Any, vehicle: str | None = None) -> Checks:
         """Return the checks of an Arrow table with the columns `READ`, in its order.
 
-        Raises InputError if a column is missing, has another type, or contains a value that no check has, such as
-        another `vehicle`.
+        Raises InputError if a column has another type or contains a value that no check has, such as another `vehicle`.
         """
         import pyarrow as pa
 
-        for name in READ:
-            if name not in table.column_names:
-                raise InputError(f"there is no column {name}", expected=", ".join(READ))
-        check_texts(table)
         try:
+            if "frames" in table.column_names:
+                _texts("frames", pa.chunked_array([table["frames"].combine_chunks().flatten()]))
             texts = {name: _texts(name, table[name]) for name in ("vehicle", *TEXTS)}
             moments = table["time"].cast(pa.timestamp("us", "UTC")).cast(pa.int64())
             time = _numbers("time", moments, 0.0, 1e6 * _MAX_TIME, required=True) / 1e6
@@ -85,9 +80,7 @@ class Checks:
         vehicles, count = set(texts.pop("vehicle").tolist()), len(time)
         _require("vehicle", vehicle is None or vehicles <= {vehicle})
         _require("verdict", set(texts["verdict"].tolist()) <= {verdict.value for verdict in Verdict})
-        covariance = np.empty((count, len(AXES), len(AXES)))
-        covariance[:, UPPER[0], UPPER[1]] = covariance[:, UPPER[1], UPPER[0]] = upper
-        error = np.column_stack(columns)
+        covariance, error = symmetric(upper), np.column_stack(columns)
         known = ~np.isnan(error[:, 0])
         given = np.isnan(np.hstack([error, upper])) != known[:, None]
         _require("an error or its covariance", given.all() and valid_estimate(error[known], covariance[known]))
@@ -141,14 +134,13 @@ def _texts(name: str, column: Any) -> Any:
 
     if column.null_count:
         raise InputError(f"{name} is missing")
-    parts = [np.zeros(0, object)]
-    for chunk in column.chunks:
-        coded = chunk if isinstance(chunk, pa.DictionaryArray) else chunk.cast(pa.string()).dictionary_encode()
-        texts = coded.dictionary.cast(pa.string()).to_pylist()
-        if any(len(text) > MAX_TEXT or (not text.isprintable() and printable(text) != text) for text in texts):
-            raise InputError(f"{name} is not valid", expected=f"at most {MAX_TEXT} printable characters")
-        parts.append(np.array([*texts, ""], object)[coded.indices.to_numpy()])
-    return np.concatenate(parts)
+    if not pa.types.is_dictionary(column.type):
+        column = column.cast(pa.string()).dictionary_encode()
+    coded = column.unify_dictionaries().combine_chunks()
+    texts = coded.dictionary.cast(pa.string()).to_pylist()
+    if any(len(text) > MAX_TEXT or (not text.isprintable() and printable(text) != text) for text in texts):
+        raise InputError(f"{name} is not valid", expected=f"at most {MAX_TEXT} printable characters")
+    return np.array([*texts, ""], object)[coded.indices.to_numpy()]
 
 
 def _numbers(name: str, column: Any, low: float, high: float, *, required: bool = False) -> Float:
@@ -162,16 +154,12 @@ def _lists(column: Any, size: int) -> Float:
     """Return lists of `size` numbers as an array (N, size); NaN where there is none."""
     import pyarrow as pa
 
-    out = [np.zeros((0, size))]
-    for chunk in column.chunks:
-        lists = chunk.cast(pa.list_(pa.float64()))
-        part = np.full((len(lists), size), np.nan)
-        known = np.asarray(lists.is_valid())
-        if (np.asarray(lists.value_lengths().filter(lists.is_valid())) != size).any():
-            raise InputError("a list has a wrong length", expected=f"{size} numbers")
-        part[known] = np.asarray(lists.flatten(), np.float64).reshape(-1, size)
-        out.append(part)
-    return np.concatenate(out)
+    lists = column.cast(pa.list_(pa.float64())).combine_chunks()
+    if (np.asarray(lists.value_lengths().drop_null()) != size).any():
+        raise InputError("a list has a wrong length", expected=f"{size} numbers")
+    out = np.full((len(lists), size), np.nan)
+    out[np.asarray(lists.is_valid())] = np.asarray(lists.flatten(), np.float64).reshape(-1, size)
+    return out
 
 
 def _distinct(checks: Checks) -> Any:
@@ -183,13 +171,12 @@ def _distinct(checks: Checks) -> Any:
     unreadable = texts["verdict"] == Verdict.UNREADABLE.value
     order = np.lexsort((texts["key"].astype(str), checks.time, unreadable))
     keys, contents, kept = set[str](), set[tuple[str, ...]](), list[int]()
-    columns = ("camera", "lidar", "log", "extrinsic_digest")
-    for index, key, *content in zip(order.tolist(), *(texts[name][order] for name in ("key", *columns)), strict=True):
+    columns = (texts[name][order] for name in ("log", "camera", "lidar", "extrinsic_digest"))
+    for index, key, *content in zip(order.tolist(), texts["key"][order], *columns, strict=True):
         identity = tuple(content)
-        if key in keys or (identity[2] and identity in contents):
-            continue
-        keys.add(key)
-        contents.add(identity)
-        kept.append(index)
+        if key not in keys and not (identity[0] and identity in contents):
+            keys.add(key)
+            contents.add(identity)
+            kept.append(index)
     rows = np.array(kept, np.int64)
     return rows[np.argsort(checks.time[rows], kind="stable")]

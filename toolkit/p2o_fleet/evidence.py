@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache
 from typing import Any, get_type_hints
@@ -13,7 +13,7 @@ from p2o.arrays import Float
 from p2o.confidence.audit import AXES
 from p2o.errors import InputError
 
-from p2o_fleet.drive import Drive, Recording
+from p2o_fleet.drive import Drive
 
 ERROR_COLUMNS = tuple(f"{axis}_{unit}" for axis, unit in AXES)
 """Columns of the error of the extrinsic: roll_deg, pitch_deg, yaw_deg, x_m, y_m, z_m."""
@@ -31,7 +31,7 @@ class Verdict(StrEnum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Evidence(Recording):
+class Evidence:
     """What a check of a drive returns; it contains no image and no point.
 
     `key` identifies the check. `roll_deg` to `z_m` are the error of the extrinsic in use against the pose of the edges
@@ -42,6 +42,7 @@ class Evidence(Recording):
     `extrinsic_digest` that of the extrinsic. `seconds` is the duration of the check, `version` that of p2o.
     """
 
+    drive: Drive
     key: str
     verdict: Verdict
     reason: str
@@ -62,24 +63,26 @@ class Evidence(Recording):
     seconds: float = 0.0
     version: str = ""
 
-    @classmethod
-    def of(cls, drive: Drive, key: str, verdict: Verdict, reason: str, **more: Any) -> Evidence:
-        """Return the evidence on a drive."""
-        recorded = {one.name: getattr(drive, one.name) for one in fields(Recording)}
-        return cls(**recorded, key=key, verdict=verdict, reason=reason, **more)
-
     def row(self) -> dict[str, Any]:
         """Return the values by column, ready for JSON."""
-        return {name: getattr(self, name) for name in COLUMNS}
+        values = {**vars(self.drive), **vars(self)}
+        return {name: values[name] for name in COLUMNS}
 
 
-COLUMNS = tuple(one.name for one in fields(Evidence))
-"""Columns of the store; `vehicle` and the day are also the names of the folders."""
+COLUMNS = {name: kind for name, kind in (get_type_hints(Drive) | get_type_hints(Evidence)).items() if name != "drive"}
+"""Columns of the store and their types; `vehicle` and the month are also the names of the folders."""
 
 
 def estimate_columns(error: Float, covariance: Float) -> dict[str, Any]:
     """Return the columns of the error (6,) of an extrinsic, in deg and m, and its covariance (6, 6)."""
     return {**dict(zip(ERROR_COLUMNS, error.tolist(), strict=True)), "covariance": tuple(covariance[UPPER].tolist())}
+
+
+def symmetric(upper: Float) -> Float:
+    """Return covariances (N, 6, 6) of their upper triangles (N, 21)."""
+    out = np.empty((len(upper), len(AXES), len(AXES)))
+    out[:, UPPER[0], UPPER[1]] = out[:, UPPER[1], UPPER[0]] = upper
+    return out
 
 
 @cache
@@ -90,9 +93,8 @@ def arrow_schema() -> Any:
     kinds: dict[Any, Any] = {str: pa.string(), Verdict: pa.string(), float: pa.float64(), int: pa.int64()}
     kinds |= {float | None: pa.float64(), tuple[float, ...] | None: pa.list_(pa.float64())}
     kinds |= {tuple[str, ...]: pa.list_(pa.string())}
-    types = get_type_hints(Evidence)
-    times = {"time": pa.timestamp("us", "UTC")}
-    return pa.schema([(name, times.get(name) or kinds[types[name]]) for name in COLUMNS])
+    types = {name: kinds[kind] for name, kind in COLUMNS.items()}
+    return pa.schema({**types, "time": pa.timestamp("us", "UTC")})
 
 
 def table_of(rows: Iterable[Mapping[str, Any]]) -> Any:
@@ -104,13 +106,3 @@ def table_of(rows: Iterable[Mapping[str, Any]]) -> Any:
         return pa.Table.from_pylist(timed, schema=arrow_schema())
     except (pa.ArrowException, LookupError, TypeError, ValueError, OverflowError) as problem:
         raise InputError("a value of the row is missing or has a wrong type", got=repr(problem)) from problem
-
-
-def with_schema(table: Any) -> Any:
-    """Return a table with the columns of `arrow_schema`; those that it lacks are null."""
-    import pyarrow as pa
-
-    schema = arrow_schema()
-    for name in set(COLUMNS) - set(table.column_names):
-        table = table.append_column(name, pa.nulls(len(table), schema.field(name).type))
-    return table.select(COLUMNS).cast(schema)

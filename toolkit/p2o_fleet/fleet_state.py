@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from itertools import pairwise
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -21,18 +21,8 @@ from p2o_study.parallel import Workers
 from p2o_fleet.checks import Checks
 from p2o_fleet.evidence import Verdict
 from p2o_fleet.noise import PairNoise, Samples, estimate_noise, sampled
-from p2o_fleet.segments import Extrinsic, Pair, Segment, segments_of
-from p2o_fleet.statistics import (
-    MeanError,
-    NoiseModel,
-    Systematic,
-    conditional,
-    discoveries,
-    e_process,
-    mean_error,
-    onset,
-    systematic,
-)
+from p2o_fleet.segments import Extrinsic, Pair, segments_of
+from p2o_fleet.statistics import MeanError, conditional, discoveries, e_process, mean_error, onset, systematic
 from p2o_fleet.store import Store
 
 _RECENT = 5
@@ -51,6 +41,7 @@ _DAY_S = 86400.0
 """Tolerance of the clocks of vehicles."""
 _HISTORY = 240
 """Maximum number of checks in the history of an extrinsic."""
+_AXIS = {name: number for number, (name, _) in enumerate(AXES)}
 
 
 class FleetStatus(StrEnum):
@@ -117,7 +108,6 @@ class Alarm:
     since: float
     since_first: float
     since_last: float
-    log_e: float
     proposal: Float
     checks: int
     frames: int
@@ -135,7 +125,6 @@ class History:
     """
 
     time: Float
-    verdict: tuple[str, ...]
     error: Float
     sigma: Float
     log_e: Float
@@ -143,7 +132,10 @@ class History:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ExtrinsicState(Extrinsic):
-    """The state of one extrinsic of one vehicle, between two services, over all its checks."""
+    """The state of one extrinsic of one vehicle, between two services, over all its checks.
+
+    `current` is whether it is in use.
+    """
 
     first: float
     last: float
@@ -153,27 +145,15 @@ class ExtrinsicState(Extrinsic):
     frames: int
     status: FleetStatus
     reason: str
-    log_e: Float
     mean: MeanError | None
     alarm: Alarm | None
     history: History
+    current: bool = False
 
     @property
     def total_log_e(self) -> float:
         """Return the log e-value of the whole extrinsic: the mean over the axes."""
-        return float(np.logaddexp.reduce(self.log_e) - np.log(len(AXES))) if len(self.log_e) else 0.0
-
-
-@dataclass(frozen=True)
-class ServiceChange:
-    """The change of the error of an extrinsic at a service: errors after minus before, of significant axes only."""
-
-    vehicle: str
-    camera: str
-    lidar: str
-    service: str
-    time: float
-    axes: tuple[AxisError, ...]
+        return float(self.history.log_e[-1])
 
 
 @dataclass(frozen=True)
@@ -196,19 +176,25 @@ class TypeState:
 
 @dataclass(frozen=True, eq=False)
 class FleetState:
-    """The state of a fleet: all extrinsics, types, and changes at services.
+    """The state of a fleet: all extrinsics and types.
 
-    `checks` is the number of all checks, `until` the time of the last one. `remarks` are checks, files and lines that
-    were set aside, with the reason.
+    `remarks` are checks, files and lines that were set aside, with the reason.
     """
 
     rules: FleetRules
     extrinsics: tuple[ExtrinsicState, ...]
     types: tuple[TypeState, ...]
-    services: tuple[ServiceChange, ...]
-    checks: int
-    until: float
     remarks: tuple[str, ...] = ()
+
+    @property
+    def checks(self) -> int:
+        """Return the number of all checks."""
+        return sum(state.checks for state in self.extrinsics)
+
+    @property
+    def until(self) -> float:
+        """Return the time of the last check."""
+        return max((state.last for state in self.extrinsics), default=0.0)
 
     @property
     def alarms(self) -> tuple[ExtrinsicState, ...]:
@@ -235,7 +221,7 @@ def fleet_state(
     jobs = [_VehiclesJob(store, names[n : n + _PER_JOB], rules, now) for n in range(0, len(names), _PER_JOB)]
     with (workers or Workers()).start() as run:
         with contextlib.closing(run(_sampled, jobs, _lost)) as samples:
-            noise = estimate_noise(samples, tuple(rules.sizes("tolerance").tolist()))
+            noise = estimate_noise(samples)
         jobs = [replace(job, noise=noise) for job in jobs]
         with contextlib.closing(run(_evaluated, jobs, _lost)) as results:
             every = sorted((one for own in results for one in own), key=lambda one: one[0])
@@ -243,11 +229,9 @@ def fleet_state(
     states = _in_use(_with_alarms([state for _, own, _ in every for state in own], rules))
     if remarks and not states:
         raise InputError("no evidence of the store can be read", where=store.root, got=remarks[0])
-    until = max((state.last for state in states), default=0.0)
     types = _types(states, noise, rules)
     states = [_attributed(state, types) for state in states]
-    services = tuple(_service_changes(states))
-    return FleetState(rules, tuple(states), types, services, sum(state.checks for state in states), until, remarks)
+    return FleetState(rules, tuple(states), types, remarks)
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,10 +257,10 @@ def _evaluated(job: _VehiclesJob) -> list[tuple[str, list[ExtrinsicState], list[
         remarks = list(checks.damaged)
         if future := int((checks.time > job.now).sum()):
             remarks.append(f"{checks.vehicle}: {future} checks have times in the future")
-        if aside := len(checks) - sum(len(one.checks) for one in segments):
+        if aside := len(checks) - sum(len(own) for _, own in segments):
             text = "have another extrinsic or service than those before: it counts from a second one on"
             remarks.append(f"{checks.vehicle}: {aside} single checks {text}")
-        states = [_state(one, job.noise.get(one.pair), job.rules, job.now) for one in segments]
+        states = [_state(one, own, job.noise.get(one.pair, PairNoise()), job.rules, job.now) for one, own in segments]
         out.append((checks.vehicle, states, remarks))
     return out
 
@@ -286,19 +270,14 @@ def _lost(job: _VehiclesJob, problem: P2OError) -> Any:
     raise problem
 
 
-def _state(segment: Segment, noise: PairNoise | None, rules: FleetRules, now: float) -> ExtrinsicState:
-    """Return the state of a segment before the false discovery rate of the fleet is known."""
-    checks = segment.checks
+def _state(extrinsic: Extrinsic, checks: Checks, noise: PairNoise, rules: FleetRules, now: float) -> ExtrinsicState:
+    """Return the state of an extrinsic before the false discovery rate of the fleet is known."""
     own = checks.take(np.flatnonzero(checks.usable))
-    noise = noise or PairNoise(NoiseModel(tolerance=tuple(rules.sizes("tolerance").tolist())))
-    error, covariance = noise.without_trend(own), own.covariance * noise.model.inflation
-    shown = np.unique(np.linspace(0, len(checks) - 1, min(len(checks), _HISTORY)).round().astype(int))
-    known = np.cumsum(checks.usable)[shown]
-    logs = np.zeros((len(shown), len(AXES)))
-    logs[known > 0] = e_process(error, own.covariance, noise.model, known[known > 0] - 1)
-    texts = checks.texts
+    error, covariance = noise.without_trend(own), noise.covariance_of(own)
+    logs = np.concatenate([np.zeros((1, len(AXES))), e_process(error, covariance, rules.sizes("tolerance"))])
+    texts, recent = checks.texts, checks.usable[-_RECENT:]
     state = ExtrinsicState(
-        **{one.name: getattr(segment, one.name) for one in fields(Extrinsic)},
+        **vars(extrinsic),
         first=float(checks.time[0]),
         last=float(checks.time[max(0, int((checks.time <= now).sum()) - 1)]),
         checks=len(checks),
@@ -306,34 +285,27 @@ def _state(segment: Segment, noise: PairNoise | None, rules: FleetRules, now: fl
         unreadable=int((texts["verdict"] == Verdict.UNREADABLE.value).sum()),
         frames=int(checks.frame_count.sum()),
         status=FleetStatus.CANNOT_TELL,
-        reason=_last_reason(checks),
-        log_e=logs[-1],
+        reason="" if recent.any() else f"no estimate in the last {len(recent)} checks: {texts['reason'][-1]}",
         mean=mean_error(error[-_MEAN_OF:], covariance[-_MEAN_OF:]) if len(own) else None,
         alarm=None,
-        history=_history(checks, shown, known, error, covariance, logs),
+        history=_history(checks, error, covariance, logs),
     )
     posed = np.flatnonzero(np.isfinite(checks.pose).all(axis=(1, 2)))
     # No e-value below 1 / rate is a discovery, whatever the others are.
     if not len(posed) or state.total_log_e < -np.log(rules.rate):
         return state
-    alarm = _alarm(state, own, error, covariance, checks.pose[posed[-1]], rules)
+    alarm = _alarm(int(logs[-1].argmax()), own, error, covariance, checks.pose[posed[-1]], rules)
     status = FleetStatus.WRONG if alarm.since <= own.time[0] else FleetStatus.SLIPPED
     return replace(state, alarm=alarm, status=status)
 
 
-def _last_reason(checks: Checks) -> str:
-    recent = checks.usable[-_RECENT:]
-    return "" if recent.any() else f"no estimate in the last {len(recent)} checks: {checks.texts['reason'][-1]}"
-
-
-def _history(checks: Checks, shown: Any, known: Any, error: Float, covariance: Float, logs: Float) -> History:
-    """Return the history of these checks; `known` of them and of those before have an estimate."""
-    errors, sigmas = np.full((2, len(shown), len(AXES)), np.nan)
-    usable = checks.usable[shown]
-    at = known[usable] - 1
-    errors[usable], sigmas[usable] = error[at], np.sqrt(np.einsum("tii->ti", covariance[at]))
-    total = np.logaddexp.reduce(logs, axis=1) - np.log(len(AXES))
-    return History(checks.time[shown], tuple(map(str, checks.texts["verdict"][shown])), errors, sigmas, total)
+def _history(checks: Checks, error: Float, covariance: Float, logs: Float) -> History:
+    """Return the history of checks, of the errors (T, 6) of the usable ones, and of their log e-process (T + 1, 6)."""
+    errors, sigmas = np.full((2, len(checks), len(AXES)), np.nan)
+    errors[checks.usable], sigmas[checks.usable] = error, np.sqrt(np.einsum("tii->ti", covariance))
+    total = np.logaddexp.reduce(logs[np.cumsum(checks.usable)], axis=1) - np.log(len(AXES))
+    shown = np.unique(np.linspace(0, len(checks) - 1, min(len(checks), _HISTORY)).round().astype(int))
+    return History(checks.time[shown], errors[shown], sigmas[shown], total[shown])
 
 
 def _with_alarms(candidates: Sequence[ExtrinsicState], rules: FleetRules) -> list[ExtrinsicState]:
@@ -361,18 +333,14 @@ def _in_use(states: Sequence[ExtrinsicState]) -> list[ExtrinsicState]:
     It is the last one, unless an earlier one has an alarm that nothing after it has ended: a new name of an extrinsic
     or service is no evidence that its error has gone.
     """
-    groups: dict[tuple[str, str, str], list[int]] = {}
-    for number, one in enumerate(states):
-        groups.setdefault((one.vehicle, one.camera, one.lidar), []).append(number)
-    out = list(states)
-    for own in groups.values():
-        in_use = own[-1]
-        for at, number in enumerate(own):
-            alarm = states[number].alarm
-            if alarm is not None and not any(_ended(alarm, states[later]) for later in own[at + 1 :]):
+    out = []
+    for _, group in groupby(states, key=lambda one: (one.vehicle, one.camera, one.lidar)):
+        own, in_use = list(group), -1
+        for number, one in enumerate(own):
+            if one.alarm is not None and not any(_ended(one.alarm, later) for later in own[number + 1 :]):
                 in_use = number
-        for number in own:
-            out[number] = replace(states[number], current=number == in_use)
+        own[in_use] = replace(own[in_use], current=True)
+        out += own
     return out
 
 
@@ -384,15 +352,14 @@ def _ended(alarm: Alarm, later: ExtrinsicState) -> bool:
         return False
     undone = alarm.present.error - later.mean.error
     significant = _SIGNIFICANT * np.sqrt(later.mean.sigma**2 + alarm.present.sigma**2)
-    at = {name: number for number, (name, _) in enumerate(AXES)}
-    return any(np.sign(one.size) * undone[at[one.axis]] > significant[at[one.axis]] for one in alarm.axes)
+    return any(np.sign(one.size) * undone[_AXIS[one.axis]] > significant[_AXIS[one.axis]] for one in alarm.axes)
 
 
-def _alarm(
-    state: ExtrinsicState, own: Checks, error: Float, covariance: Float, pose: Float, rules: FleetRules
-) -> Alarm:
-    """Return the alarm of a state from its usable checks, their errors without trend, and the extrinsic in use."""
-    axis = int(state.log_e.argmax())
+def _alarm(axis: int, own: Checks, error: Float, covariance: Float, pose: Float, rules: FleetRules) -> Alarm:
+    """Return the alarm of the usable checks of an extrinsic, whose evidence is strongest on `axis`.
+
+    `error` (T, 6) are their errors without trend, with their `covariance`; `pose` (4, 4) is the extrinsic in use.
+    """
     began = onset(error[:, axis], np.sqrt(covariance[:, axis, axis]))
     alone, alone_sigma = conditional(error, covariance)
     if began.index == 0:  # the change may show only if the other axes are taken as constant
@@ -404,23 +371,21 @@ def _alarm(
         change, spread = change - before.error, spread + before.covariance
     axes, *alternatives = _explained(axis, change, spread, rules)
     proposal = pose
-    index = {name: number for number, (name, _) in enumerate(AXES)}
     for part in axes:
-        proposal = corrected(proposal, index[part.axis], np.array([part.size]))[0]
+        proposal = corrected(proposal, _AXIS[part.axis], np.array([part.size]))[0]
     data = own.texts["data"].tolist()
     proof = tuple(dict.fromkeys([*data[max(0, began.index - 1) : began.index], *data[-3:]]))
     return Alarm(
-        axes,
-        tuple(alternatives),
-        float(own.time[began.index]),
-        float(own.time[began.first]),
-        float(own.time[began.last]),
-        state.total_log_e,
-        proposal,
-        len(own) - began.index,
-        int(own.frame_count[began.index :].sum()),
-        proof,
-        after,
+        axes=axes,
+        alternatives=tuple(alternatives),
+        since=float(own.time[began.index]),
+        since_first=float(own.time[began.first]),
+        since_last=float(own.time[began.last]),
+        proposal=proposal,
+        checks=len(own) - began.index,
+        frames=int(own.frame_count[began.index :].sum()),
+        proof=proof,
+        present=after,
     )
 
 
@@ -462,60 +427,27 @@ def _types(
     states: Sequence[ExtrinsicState], noise: Mapping[Pair, PairNoise], rules: FleetRules
 ) -> tuple[TypeState, ...]:
     """Return the types of vehicles with their systematic errors."""
-    groups: dict[Pair, list[ExtrinsicState]] = {}
+    groups: dict[Pair, list[MeanError]] = {}
     for state in states:
         if state.current and state.mean is not None:
-            groups.setdefault(state.pair, []).append(state)
-    tolerance = rules.sizes("type_tolerance")
-    tests: dict[Pair, Systematic] = {}
-    for pair, group in groups.items():
-        if len(group) >= _MIN_VEHICLES:
-            means = [state.mean for state in group if state.mean is not None]
-            tests[pair] = systematic(np.stack([m.error for m in means]), np.stack([m.sigma for m in means]), tolerance)
-    rejected = discoveries(np.concatenate([np.zeros(0), *(test.log_e for test in tests.values())]), rules.rate)
-    alarms = dict(zip(tests, rejected.reshape(-1, len(AXES)), strict=True))
+            groups.setdefault(state.pair, []).append(state.mean)
     types = []
-    for pair, group in sorted(groups.items()):
-        test, own = tests.get(pair), noise.get(pair)
-        errors = () if test is None else _axis_errors(range(len(AXES)), test.error, test.sigma)
-        types.append(
-            TypeState(
-                *pair,
-                len(group),
-                errors,
-                tuple(error for error, is_alarm in zip(errors, alarms.get(pair, ()), strict=False) if is_alarm),
-                () if test is None else tuple(map(float, test.log_e)),
-                (1.0,) * len(AXES) if own is None else own.model.scale,
-                () if own is None else tuple(own.trend_texts()),
-            )
-        )
-    return tuple(types)
+    for pair, means in sorted(groups.items(), key=lambda item: item[0]):
+        own, errors, log_e = noise.get(pair, PairNoise()), tuple[AxisError, ...](), tuple[float, ...]()
+        if len(means) >= _MIN_VEHICLES:
+            error, sigma = (np.stack([getattr(mean, name) for mean in means]) for name in ("error", "sigma"))
+            test = systematic(error, sigma, rules.sizes("type_tolerance"))
+            errors, log_e = _axis_errors(range(len(AXES)), test.error, test.sigma), tuple(test.log_e.tolist())
+        types.append(TypeState(*pair, len(means), errors, (), log_e, own.scale, tuple(own.trend_texts())))
+    rejected = iter(discoveries(np.array([value for one in types for value in one.log_e]), rules.rate).tolist())
+    return tuple(replace(one, alarms=tuple(error for error in one.errors if next(rejected))) for one in types)
 
 
 def _attributed(state: ExtrinsicState, types: Sequence[TypeState]) -> ExtrinsicState:
     """Mark the alarm of an extrinsic as systematic if the errors of its axes are those of its type."""
     if state.alarm is None:
         return state
-    own = next((one for one in types if (one.vehicle_type, one.camera, one.lidar) == state.pair), None)
-    common = {} if own is None else {error.axis: error for error in own.alarms}
-    same = bool(common) and all(
-        error.axis in common
-        and np.sign(error.size) == np.sign(common[error.axis].size)
-        and 0.5 < error.size / common[error.axis].size < 2
-        for error in state.alarm.axes
-    )
+    own = [one for one in types if (one.vehicle_type, one.camera, one.lidar) == state.pair]
+    common = {error.axis: error.size for one in own for error in one.alarms}
+    same = all(part.axis in common and 0.5 < part.size / common[part.axis] < 2 for part in state.alarm.axes)
     return replace(state, alarm=replace(state.alarm, systematic=same))
-
-
-def _service_changes(states: Sequence[ExtrinsicState]) -> Iterator[ServiceChange]:
-    """Yield the significant changes of an extrinsic at services (99.9 %)."""
-    for before, after in pairwise(states):
-        same = (before.vehicle, *before.pair, before.digest) == (after.vehicle, *after.pair, after.digest)
-        if not same or before.service == after.service or before.mean is None or after.mean is None:
-            continue
-        change = after.mean.error - before.mean.error
-        sigma = np.sqrt(after.mean.sigma**2 + before.mean.sigma**2)
-        axes = np.flatnonzero(np.abs(change) > _SIGNIFICANT * sigma)
-        if len(axes):
-            errors = _axis_errors(axes.tolist(), change[axes], sigma)
-            yield ServiceChange(after.vehicle, after.camera, after.lidar, after.service, after.first, errors)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,11 +15,10 @@ from p2o.page import page as html
 from p2o.page.page import Block, Column, brief, cell
 from p2o.page.plot import Axis, Panel, Series, plot
 
-from p2o_fleet.fleet_state import Alarm, ExtrinsicState, FleetState, FleetStatus, ServiceChange, TypeState, amount
-from p2o_fleet.outputs import extrinsic_dict, iso, matrix_text, proposal_name, type_text
-from p2o_fleet.overlays import Overlays
+from p2o_fleet.fleet_state import Alarm, ExtrinsicState, FleetState, FleetStatus, TypeState
+from p2o_fleet.outputs import extrinsic_dict, iso, type_text
 
-INDEX, DATA = "index.html", html.DATA
+INDEX = "index.html"
 _PER_FILE = 50
 """Number of extrinsics whose histories are in one file."""
 _WORDS = {
@@ -75,19 +74,18 @@ def _reason(state: ExtrinsicState) -> str:
     return state.reason + (" (as all vehicles of its type)" if systematic else "")
 
 
-def write_page(state: FleetState, folder: Path, overlays: Overlays | None = None) -> Path:
+def write_page(state: FleetState, folder: Path) -> Path:
     """Write the page to a folder: index.html, and files of histories that it loads on demand; return its path.
 
     It needs no server and loads nothing from elsewhere. Raises InputError if the folder cannot be written.
     """
     html.prepare_data(folder)
-    # Alarms first: the overlays are for the strongest ones.
     order = [*state.alarms, *(one for one in state.current if one.alarm is None)]
     order += [one for one in state.extrinsics if not one.current]
     opens = []
     for first in range(0, len(order), _PER_FILE):
         name, some = f"history-{first // _PER_FILE}", order[first : first + _PER_FILE]
-        html.write_data(folder, name, [[*_proposal(one), *_history(one), *_overlays(one, overlays)] for one in some])
+        html.write_data(folder, name, [[*_proposal(one), *_history(one)] for one in some])
         opens += [html.detail_of_file(f"{one.vehicle}: {_sensors(one)}", name, n) for n, one in enumerate(some)]
     filters: list[str | tuple[str, str]] = ["state", "type", "sensors", ("extrinsics", _IN_USE)]
     table = html.table(
@@ -100,9 +98,6 @@ def write_page(state: FleetState, folder: Path, overlays: Overlays | None = None
         blocks.append(html.section("Not read", html.items(state.remarks)))
     types = html.table(type_columns(), state.types, name="types")
     blocks += [table, html.section("Types", types, html.text(_TYPES, "quiet"))]
-    if state.services:
-        services = [f"{one.vehicle}: {'; '.join(_service_texts(one))}" for one in state.services]
-        blocks.append(html.section("Changes at services", html.items(services)))
     notes = (
         f"Alarms have a false discovery rate of {100 * state.rules.rate:g} % over the whole fleet. Constant errors up "
         f"to {state.rules.tolerance} count as correct.",
@@ -121,12 +116,10 @@ def _largest(state: ExtrinsicState) -> dict[str, Any] | None:
     """Return the largest error of an axis relative to 0.1 deg or 1 cm."""
     if state.mean is None:
         return None
-    sizes = [
-        abs(value) / (0.1 if unit == "deg" else 0.01) for value, (_, unit) in zip(state.mean.error, AXES, strict=True)
-    ]
+    sizes = np.abs(state.mean.error) / np.repeat([0.1, 0.01], 3)
     largest = int(np.argmax(sizes))
     axis, unit = AXES[largest]
-    return cell(brief(sizes[largest]), f"{axis} {_signed(state.mean.error[largest], unit)} {_printed(unit)}")
+    return cell(brief(float(sizes[largest])), f"{axis} {_signed(state.mean.error[largest], unit)} {_printed(unit)}")
 
 
 def _type_error(state: TypeState, axis: str, unit: str) -> dict[str, Any] | None:
@@ -153,8 +146,8 @@ def _alarm(name: str, of: Callable[[Alarm], Any]) -> Column:
 def _proposal(state: ExtrinsicState) -> list[Block]:
     if state.alarm is None:
         return []
-    title = f"proposal: proposals/{proposal_name(state)}"
-    return [html.code(matrix_text(state.alarm.proposal), title, paste=True)]
+    rows = "\n".join(" ".join(f"{value:.12g}" for value in row) for row in state.alarm.proposal)
+    return [html.code(f"{rows}\n", "proposed extrinsic, as --extrinsic and p2o convert read it", paste=True)]
 
 
 def _history(state: ExtrinsicState) -> Iterator[Block]:
@@ -167,17 +160,12 @@ def _history(state: ExtrinsicState) -> Iterator[Block]:
     x = Axis("", time=True, low=first, high=last)
     panels = []
     for number, (axis, unit) in enumerate(AXES):
-        factor = 1.0 if unit == "deg" else 100.0
+        factor, least = (1.0, 0.3) if unit == "deg" else (100.0, 3.0)
         error, half = (factor * values[known, number] for values in (past.error, 1.96 * past.sigma))
         # All points and nine of ten intervals are inside: a single weak check has a long one.
-        reach = float(
-            max(0.3 if unit == "deg" else 3.0, *np.abs(error), np.quantile(np.abs(error) + half, 0.9)) if times else 1.0
-        )
-        bars = {
-            "low": np.clip(error - half, -reach, reach).tolist(),
-            "high": np.clip(error + half, -reach, reach).tolist(),
-        }
-        series = [Series("check", times, error.tolist(), size=0.5, **bars)] if times else []
+        reach = max(least, *np.abs(error).tolist(), float(np.quantile(np.abs(error) + half, 0.9))) if times else 1.0
+        low, high = (np.clip(ends, -reach, reach).tolist() for ends in (error - half, error + half))
+        series = [Series("check", times, error.tolist(), size=0.5, low=low, high=high)] if times else []
         scale = Axis("", low=-1.05 * reach, high=1.05 * reach)
         panels.append(Panel(x, scale, series, title=f"{axis} [{_printed(unit)}]", marks=since, height=180))
     evidence = [min(value, _MOST_EVIDENCE) if math.isfinite(value) else 0.0 for value in past.log_e.tolist()]
@@ -188,12 +176,6 @@ def _history(state: ExtrinsicState) -> Iterator[Block]:
     missing = int((~known).sum())
     if missing:
         yield html.text(f"{missing} checks without an estimate are not shown.", "quiet")
-
-
-def _overlays(state: ExtrinsicState, overlays: Overlays | None) -> Sequence[Block]:
-    drawn = overlays.of(state) if overlays is not None and state.status is not FleetStatus.HOLDS else []
-    ends = ("extrinsic in use", "proposed extrinsic")
-    return [html.slides(one["name"], one["before"], one["after"], ends) for one in drawn]
 
 
 def _sensors(state: ExtrinsicState) -> str:
@@ -214,8 +196,3 @@ def _printed(unit: str) -> str:
 
 def _signed(value: float, unit: str) -> str:
     return f"{value:+.2f}" if unit == "deg" else f"{100 * value:+.1f}"
-
-
-def _service_texts(change: ServiceChange) -> Iterator[str]:
-    yield f"{change.camera} and {change.lidar}, service {change.service} at {iso(change.time)}"
-    yield from map(amount, change.axes)

@@ -12,7 +12,7 @@ from p2o_study.worker import Plugins
 
 from p2o_fleet.drive import Drive
 from p2o_fleet.evidence import Evidence
-from p2o_fleet.store import Store, Writer
+from p2o_fleet.store import Store
 from p2o_fleet.worker import CheckSettings, DriveJob, check_drive, unreadable
 
 OnCheck = Callable[["RunOutcome", Evidence], None]
@@ -48,13 +48,23 @@ def run_fleet(
 ) -> RunOutcome:
     """Check all drives that are not stored yet; the same drives again change nothing.
 
-    Evidence is on the disk before the next result is taken. Drives whose worker dies become rows with the reason.
+    A drive that is named twice is checked once. Evidence is on the disk before the next result is taken. Drives whose
+    worker dies become rows with the reason.
     """
-    outcome = RunOutcome()
+    outcome, taken = RunOutcome(), set[str]()
+
+    def jobs() -> Iterator[DriveJob]:
+        for drive in drives:
+            key = drive.key(settings.text)
+            if key in taken or writer.finished(drive, key):
+                outcome.kept += 1
+            else:
+                taken.add(key)
+                yield DriveJob(drive, key, settings, plugins)
+
     with store.writer() as writer, workers.start() as run:
-        jobs = _jobs(drives, writer, settings, plugins, outcome)
         try:
-            with contextlib.closing(run(check_drive, jobs, unreadable)) as results:
+            with contextlib.closing(run(check_drive, jobs(), unreadable)) as results:
                 for evidence in results:
                     writer.put(evidence)
                     outcome.verdicts[evidence.verdict.value] += 1
@@ -64,17 +74,3 @@ def run_fleet(
             outcome.interrupted = True
         outcome.damaged = tuple(dict.fromkeys(writer.damaged))
     return outcome
-
-
-def _jobs(
-    drives: Iterable[Drive], writer: Writer, settings: CheckSettings, plugins: Plugins, outcome: RunOutcome
-) -> Iterator[DriveJob]:
-    """Yield the jobs that are not finished; a drive that is named twice is one job."""
-    taken: set[str] = set()
-    for drive in drives:
-        key = drive.key(settings.text)
-        if key in taken or writer.finished(drive, key):
-            outcome.kept += 1
-            continue
-        taken.add(key)
-        yield DriveJob(drive, key, settings, plugins)

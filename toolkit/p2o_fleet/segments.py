@@ -19,10 +19,7 @@ _MIN_CHECKS = 2
 
 @dataclass(frozen=True, kw_only=True)
 class Extrinsic:
-    """One extrinsic of one vehicle between two services: its text in the table of drives, and `digest` of its values.
-
-    `current` is whether it is in use: the last one of its sensors.
-    """
+    """One extrinsic of a vehicle between two services: its text in the table of drives, and `digest` of its values."""
 
     vehicle: str
     vehicle_type: str
@@ -31,7 +28,6 @@ class Extrinsic:
     extrinsic: str
     digest: str
     service: str
-    current: bool
 
     @property
     def pair(self) -> Pair:
@@ -39,15 +35,8 @@ class Extrinsic:
         return self.vehicle_type, self.camera, self.lidar
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Segment(Extrinsic):
-    """The checks of one extrinsic between two services."""
-
-    checks: Checks
-
-
-def segments_of(checks: Checks, now: float = math.inf) -> Iterator[Segment]:
-    """Yield the segments of a vehicle: a new extrinsic or a new service begins another one.
+def segments_of(checks: Checks, now: float = math.inf) -> Iterator[tuple[Extrinsic, Checks]]:
+    """Yield the extrinsics of a vehicle with the checks of each: a new extrinsic or service begins another segment.
 
     Single checks with another extrinsic or service than those before and after, and checks after `now` (s since 1970)
     with another one than the last, are in no segment, unless there are no others. Checks without a readable extrinsic
@@ -68,7 +57,7 @@ def segments_of(checks: Checks, now: float = math.inf) -> Iterator[Segment]:
             types, counts = np.unique(own.texts["vehicle_type"].astype(str), return_counts=True)
             last = {name: str(own.texts[name][-1]) for name in ("camera", "lidar", "extrinsic", "service")}
             last |= {"digest": str(digests[kept[begin]]), "vehicle_type": str(types[counts.argmax()])}
-            yield Segment(vehicle=checks.vehicle, **last, current=bool(end == len(kept)), checks=own)
+            yield Extrinsic(vehicle=checks.vehicle, **last), own
 
 
 def _changes(names: Any) -> Any:

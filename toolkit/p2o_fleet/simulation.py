@@ -18,7 +18,7 @@ from p2o.errors import InputError
 
 from p2o_fleet.checks import Checks
 from p2o_fleet.drive import Drive
-from p2o_fleet.evidence import UPPER, Evidence, Verdict, estimate_columns, table_of
+from p2o_fleet.evidence import Evidence, Verdict, estimate_columns, symmetric, table_of
 from p2o_fleet.store import Row, Store
 
 BANK = "noise.json"
@@ -49,13 +49,14 @@ class Fault(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class NoiseBank:
-    """Measured evidence at correct extrinsics: rigs, errors (N, 6) in deg and m, covariances (N, 6, 6), frame counts.
+    """Measured evidence at correct extrinsics: `groups` are the indices of its rows by rig.
 
-    The errors contain those of the published extrinsics, which differ from rig to rig.
+    `centred` (N, 6) are errors in deg and m without the median of their rig, which is the error of its published
+    extrinsic; `covariance` (N, 6, 6) and `frame_count` (N,) those of the checks.
     """
 
-    rigs: tuple[str, ...]
-    error: Float
+    groups: Mapping[str, Int]
+    centred: Float
     covariance: Float
     frame_count: Int
 
@@ -64,26 +65,14 @@ class NoiseBank:
         """Return the evidence that p2o contains (docs/how-to/fleet.md states how it was measured)."""
         text = importlib.resources.files("p2o_fleet").joinpath(BANK).read_text(encoding="utf-8")
         rows = json.loads(text)["checks"]
-        covariance = np.empty((len(rows), len(AXES), len(AXES)))
-        upper = np.array([row["covariance"] for row in rows])
-        covariance[:, UPPER[0], UPPER[1]] = covariance[:, UPPER[1], UPPER[0]] = upper
-        error, frames = np.array([row["error"] for row in rows]), np.array([row["frames"] for row in rows])
-        return cls(tuple(row["rig"] for row in rows), error, covariance, frames)
-
-    @cached_property
-    def groups(self) -> dict[str, Int]:
-        """Return the indices of the rows by rig."""
-        names = np.array(self.rigs)
-        return {rig: np.flatnonzero(names == rig) for rig in sorted(set(self.rigs))}
-
-    @cached_property
-    def centred(self) -> Float:
-        """Return the errors (N, 6) without the median of their rig, which is the error of its published extrinsic."""
-        out = self.error.copy()
-        for rows in self.groups.values():
+        rigs, centred, upper, frames = (
+            np.array([row[n] for row in rows]) for n in ("rig", "error", "covariance", "frames")
+        )
+        groups = {str(rig): np.flatnonzero(rigs == rig) for rig in np.unique(rigs)}
+        for own in groups.values():
             # The mean of n values absorbs part of their variance.
-            out[rows] = (out[rows] - np.median(out[rows], axis=0)) * np.sqrt(len(rows) / max(1, len(rows) - 1))
-        return out
+            centred[own] = (centred[own] - np.median(centred[own], axis=0)) * np.sqrt(len(own) / max(1, len(own) - 1))
+        return cls(groups, centred, symmetric(upper), frames)
 
 
 @dataclass(frozen=True)
@@ -106,33 +95,29 @@ class Scenario:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if not (self.vehicles >= 1 and self.checks >= 1 and sum(self.shares.values()) <= 1 + 1e-9):
-            raise InputError("the fleet cannot be simulated", expected="vehicles, checks, and shares of at most 1")
+        if not sum(self.shares.values()) <= 1 + 1e-9:
+            raise InputError("the fleet cannot be simulated", expected="shares of at most 1")
 
 
 @dataclass(frozen=True, eq=False)
 class SimulatedVehicle:
-    """A vehicle with its fault: axis, size (deg or m) and the number of the first check with it; and its checks.
-
-    `rows` are the rows of the checks, as in a store.
-    """
+    """A vehicle with its fault, the axis and the number of the first check with it; and the rows of its checks."""
 
     name: str
     fault: Fault
     axis: int
-    size: float
     begin: int
-    checks: Checks
     rows: Sequence[Row]
+
+    @cached_property
+    def checks(self) -> Checks:
+        """Return the checks as a store returns them."""
+        return Checks.of(table_of(self.rows), self.name)
 
 
 def simulated_fleet(scenario: Scenario, bank: NoiseBank) -> Iterator[SimulatedVehicle]:
     """Yield the vehicles of a scenario, each the same for the same seed."""
-    missing = [rig for rig in scenario.rigs if rig not in bank.groups]
-    if missing:
-        raise InputError("the noise of a rig is not known", expected=", ".join(bank.groups), got=missing[0])
-    for number in range(scenario.vehicles):
-        yield _vehicle(scenario, bank, number)
+    return (_vehicle(scenario, bank, number) for number in range(scenario.vehicles))
 
 
 def _vehicle(scenario: Scenario, bank: NoiseBank, number: int) -> SimulatedVehicle:
@@ -154,34 +139,26 @@ def _vehicle(scenario: Scenario, bank: NoiseBank, number: int) -> SimulatedVehic
         error[:, 2] += scenario.wrong_cad_deg
     verdict = np.full(count, Verdict.HOLDS, dtype=object)
     _inject(fault, error, covariance, verdict, axis, size, begin, rng)
-    known = verdict == Verdict.HOLDS
     name = f"vehicle-{number:05d}"
-    columns = zip(known, error, covariance, strict=True)
-    estimates = [estimate_columns(*estimate) if usable else {} for usable, *estimate in columns]
-    keys = [f"{name}-{at:06d}" for at in range(count)]
-    digest = hashlib.sha256(name.encode()).hexdigest()[:32]
-    drives = [
-        Drive(name, "front", "top", key, "extrinsic.yaml", moment, rig, temperature_c=degrees)
-        for key, moment, degrees in zip(keys, time.tolist(), temperature.tolist(), strict=True)
-    ]
-    rows = [
-        Evidence.of(
-            *(drive, drive.data, outcome, _REASONS.get(outcome, "")),
-            **estimate,
-            camera_from_lidar=_POSE,
-            odds_ratio=10.0 if estimate else None,
-            cells=200,
-            frame_count=frames,
-            log="" if outcome is Verdict.UNREADABLE else drive.data,
-            extrinsic_digest=digest,
-            seconds=6.0,
-            version="simulated",
-        ).row()
-        for drive, outcome, estimate, frames in zip(
-            drives, verdict, estimates, bank.frame_count[drawn].tolist(), strict=True
+    common: dict[str, Any] = {"cells": 200, "seconds": 6.0, "version": "simulated", "camera_from_lidar": _POSE}
+    common |= {"extrinsic_digest": hashlib.sha256(name.encode()).hexdigest()[:32]}
+    rows = []
+    for at in range(count):
+        log, outcome = f"{name}-{at:06d}", verdict[at]
+        when, degrees = float(time[at]), float(temperature[at])
+        figures = {**common, "frame_count": int(bank.frame_count[drawn[at]])}
+        if outcome == Verdict.HOLDS:
+            figures |= {**estimate_columns(error[at], covariance[at]), "odds_ratio": 10.0}
+        evidence = Evidence(
+            drive=Drive(name, "front", "top", log, "extrinsic.yaml", when, rig, temperature_c=degrees),
+            key=log,
+            verdict=outcome,
+            reason=_REASONS.get(outcome, ""),
+            log="" if outcome == Verdict.UNREADABLE else log,
+            **figures,
         )
-    ]
-    return SimulatedVehicle(name, fault, axis, size, begin, Checks.of(table_of(rows), name), rows)
+        rows.append(evidence.row())
+    return SimulatedVehicle(name, fault, axis, begin, rows)
 
 
 def _inject(

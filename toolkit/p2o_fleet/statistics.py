@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from p2o.arrays import Bool, Float, Int
+from p2o.arrays import Bool, Float
 from p2o.confidence.audit import AXES
 
 CLIP = 4.0
@@ -37,19 +37,17 @@ def onset_prior(count: int) -> Float:
     return np.concatenate([[_SINCE_FIRST], (1 - _SINCE_FIRST) * rest / 2.11])[:count]
 
 
-def mixture_over_onsets(log_ratios: Float, at: Int | None = None) -> Float:
+def mixture_over_onsets(log_ratios: Float) -> Float:
     """Return the log e-process (T, B) of bets with log likelihood ratios (T, B), mixed over the onset of the error.
 
     E_t = sum_k pi_k prod_(k <= i <= t) L_i + (1 - sum_(k <= t) pi_k): the bets begin at check k with probability pi_k.
-    With `at` (K,), only the values (K, B) after these checks are returned.
     """
-    at = np.arange(len(log_ratios)) if at is None else at
     prior = onset_prior(len(log_ratios))
     total = np.cumsum(log_ratios, axis=0)
     before = total - log_ratios
-    started = total[at] + np.logaddexp.accumulate(np.log(prior)[:, None] - before)[at]
+    started = total + np.logaddexp.accumulate(np.log(prior)[:, None] - before)
     waiting = np.log1p(-np.minimum(np.cumsum(prior), 1 - 1e-12))
-    return np.logaddexp(started, waiting[at, None])
+    return np.logaddexp(started, waiting[:, None])
 
 
 def bets(standard: Float, tolerance: Float) -> Float:
@@ -85,46 +83,28 @@ def beside_previous(values: Float, sigma: Float) -> Float:
     return out
 
 
-@dataclass(frozen=True)
-class NoiseModel:
-    """How errors of checks vary at a constant extrinsic: `scale` (6,) multiplies their predicted deviations.
-
-    `tolerance` (6,) is the largest constant error, in deg and m, that counts as correct: it covers the systematic
-    errors of the edges and of the extrinsic itself.
-    """
-
-    scale: tuple[float, ...] = (1.0,) * 6
-    tolerance: tuple[float, ...] = (0.2, 0.2, 0.2, 0.03, 0.03, 0.03)
-
-    @property
-    def inflation(self) -> Float:
-        """Return the factors (6, 6) of covariances."""
-        return np.outer(self.scale, self.scale)
-
-
-def e_process(error: Float, covariance: Float, noise: NoiseModel, at: Int | None = None) -> Float:
+def e_process(error: Float, covariance: Float, tolerance: Float) -> Float:
     """Return the log e-process (T, 6) of each axis; the mean over the axes is one of the whole extrinsic.
 
-    With `at` (K,), only its values (K, 6) after these checks are returned. Three statistics are averaged: the error
-    itself beyond the tolerance, its change against the mean of all previous checks, and the change of each axis under
-    the assumption that the others did not change.
+    `tolerance` (6,) is the largest constant error, in deg and m, that counts as correct: it covers the systematic
+    errors of the edges and of the extrinsic itself. Three statistics are averaged: the error itself beyond the
+    tolerance, its change against the mean of all previous checks, and the change of each axis under the assumption that
+    the others did not change.
     """
     if not len(error):
         return np.zeros((0, len(AXES)))
-    at = np.arange(len(error)) if at is None else at
-    wide = covariance * noise.inflation
-    sigma = np.sqrt(np.einsum("tii->ti", wide))
+    sigma = np.sqrt(np.einsum("tii->ti", covariance))
     none = np.zeros_like(error)
-    alone, alone_sigma = conditional(error, wide)
+    alone, alone_sigma = conditional(error, covariance)
     parts = [
-        bets(error / sigma, np.array(noise.tolerance) / sigma),
+        bets(error / sigma, tolerance / sigma),
         bets(beside_previous(error, sigma), none),
         bets(beside_previous(alone, alone_sigma), none),
     ]
     # The first check cannot show a change: without a bet, its factor is 1.
     for part in parts[1:]:
         part[0] = 0.0
-    logs = [mixture_over_onsets(part.reshape(len(error), -1), at).reshape(len(at), *part.shape[1:]) for part in parts]
+    logs = [mixture_over_onsets(part.reshape(len(error), -1)).reshape(part.shape) for part in parts]
     return log_mean(np.stack(logs), axes=(0, 3, 4))
 
 
@@ -305,29 +285,25 @@ class Trend:
         return np.where(np.abs(self.slope) > 4 * self.sigma, self.slope, 0.0)
 
 
-def trend(
-    errors: Sequence[Float], sigmas: Sequence[Float], covariates: Sequence[Float], least: int = 50
-) -> Trend | None:
-    """Return the common slopes of errors (T, 6) of vehicles on covariates (T, C); None for fewer than `least` checks.
+def trend(vehicles: Sequence[tuple[Float, Float, Float]], least: int = 50) -> Trend | None:
+    """Return the common slopes on covariates of the errors of vehicles; None for fewer than `least` checks.
 
-    Each vehicle has its own mean, so that differences between vehicles do not count. Residuals beyond 3 deviations
-    count as 3 (Huber), so that slips of few vehicles do not change the slopes.
+    Each vehicle has errors (T, 6), their deviations (T, 6) and covariates (T, C), and its own mean, so that differences
+    between vehicles do not count. Residuals beyond 3 deviations count as 3 (Huber), so that slips of few vehicles do
+    not change the slopes.
     """
-    if sum(map(len, errors)) < least:
+    if sum(len(error) for error, *_ in vehicles) < least:
         return None
-    count = covariates[0].shape[1]
+    count = vehicles[0][2].shape[1]
     slope, deviation = np.zeros((len(AXES), count)), np.full((len(AXES), count), np.inf)
     for axis in range(len(AXES)):
-        weights = [1 / sigma[:, axis] ** 2 for sigma in sigmas]
-        rows = np.concatenate(
-            [values - np.average(values, axis=0, weights=w) for values, w in zip(covariates, weights, strict=True)]
-        )
+        weights = [1 / sigma[:, axis] ** 2 for _, sigma, _ in vehicles]
+        means = [np.average(values, axis=0, weights=own) for (*_, values), own in zip(vehicles, weights, strict=True)]
+        rows = np.concatenate([values - mean for (*_, values), mean in zip(vehicles, means, strict=True)])
         if np.linalg.matrix_rank(rows) < count:
             return None
-        values = [error[:, axis] for error in errors]
-        weight = np.concatenate(weights)
-        robust_weight = weight
-        centred = np.concatenate([v - np.median(v) for v in values])
+        weight = robust_weight = np.concatenate(weights)
+        centred = np.concatenate([error[:, axis] - np.median(error[:, axis]) for error, *_ in vehicles])
         for _ in range(10):
             normal = (rows * robust_weight[:, None]).T @ rows
             slope[axis] = np.linalg.solve(normal, rows.T @ (robust_weight * centred))

@@ -6,7 +6,6 @@ import contextlib
 import hashlib
 import json
 import os
-import threading
 import uuid
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -17,17 +16,17 @@ from typing import IO, Any
 from urllib.parse import quote, unquote
 
 from p2o.errors import InputError, P2OError
-from p2o.files.input_file import expanded, read_bytes
+from p2o.files.input_file import expanded, naming, read_bytes
 from p2o.files.parsed_text import parse_json
 from p2o.files.whole_file import sync_folder, write_errors, write_synced
 
 from p2o_fleet.checks import READ, Checks
-from p2o_fleet.drive import Drive, day_of
-from p2o_fleet.evidence import COLUMNS, Evidence, Verdict, table_of, with_schema
-from p2o_fleet.parquet_file import open_parquet
+from p2o_fleet.drive import Drive, month_of
+from p2o_fleet.evidence import COLUMNS, Evidence, Verdict, arrow_schema, table_of
+from p2o_fleet.parquet_file import read_parquet
 
-_FOLD_ROWS = 5000
-"""Number of rows after which a journal becomes Parquet files: it bounds the memory of a run."""
+_FOLD_BYTES = 4 << 20
+"""Size at which a journal becomes Parquet files: about 5,000 rows."""
 _ATTEMPTS = 10
 _MAX_VEHICLES = 1024
 """Number of vehicles whose keys are remembered."""
@@ -81,22 +80,21 @@ class Store:
             journalled.setdefault(row["vehicle"], []).append(row)
         for vehicle in self.vehicles() if vehicles is None else vehicles:
             damaged = list(lost)
-            parts = self._parts_read(vehicle, damaged)
+            parts = self.parts_read(vehicle, damaged)
             if vehicle in journalled:
                 parts.append(Checks.of(table_of(journalled[vehicle])))
             yield Checks.joined(vehicle, parts, damaged)
 
-    def _parts_read(self, vehicle: str, damaged: list[str]) -> list[Checks]:
-        paths = self.parts(vehicle)
+    def parts_read(self, vehicle: str, damaged: list[str]) -> list[Checks]:
+        """Return the checks of each Parquet file of a vehicle; `damaged` names those that are skipped."""
         for _ in range(_ATTEMPTS):
-            listed, skipped, parts = paths, list[str](), list[Checks]()
+            paths, skipped = self.parts(vehicle), list[str]()
             with contextlib.suppress(FileNotFoundError):
                 parts = [part[1] for path in paths if (part := _read(path, vehicle, skipped)) is not None]
                 # A change between two listings of folders could hide both a new file and those that it replaced.
-                if (paths := self.parts(vehicle)) == listed:
+                if self.parts(vehicle) == paths:
                     damaged.extend(skipped)
                     return parts
-            paths = self.parts(vehicle)
         raise P2OError("the store changes while it is read", where=self.root, hint="run the same command again")
 
     def parts(self, vehicle: str, day: str = "*") -> list[Path]:
@@ -116,16 +114,19 @@ class Store:
             sync_folder(self.root)
         for path in _journals(self.journals, writer.damaged):
             with contextlib.suppress(FileNotFoundError), path.open("rb") as journal:
-                damaged: list[str] = []
-                rows = _lines(path, damaged)
-                writer.own |= {row["key"]: (row["verdict"], row["reason"]) for row in rows}
-                writer.damaged += damaged
                 if _lock(journal):  # its writer has ended
-                    self.add(rows)
-                    if damaged:  # its lines are kept for a look at them
-                        path.rename(path.with_suffix(".damaged"))
-                    path.unlink(missing_ok=True)
+                    self.fold(path, writer.damaged)
+                else:
+                    writer.own.update(_finished(_lines(path, writer.damaged)))
         return writer
+
+    def fold(self, journal: Path, damaged: list[str]) -> None:
+        """Turn a journal into Parquet files; it is kept as *.damaged if lines of it are damaged, which are named."""
+        count = len(damaged)
+        self.add(_lines(journal, damaged))
+        if len(damaged) > count:
+            journal.rename(journal.with_suffix(".damaged"))
+        journal.unlink(missing_ok=True)
 
     def add(self, rows: Iterable[Row]) -> None:
         """Write rows to the file of their vehicle and month; the same rows again change nothing.
@@ -138,28 +139,27 @@ class Store:
 
         groups: dict[tuple[str, str], list[Row]] = {}
         for row in rows:
-            groups.setdefault((row["vehicle"], day_of(row["time"])[:7]), []).append(row)
+            groups.setdefault((row["vehicle"], month_of(row["time"])), []).append(row)
         for (vehicle, month), group in groups.items():
             before = {}
             for path in self.parts(vehicle, month):
                 with contextlib.suppress(FileNotFoundError):  # another process was faster
-                    if (part := _read(path, vehicle, [], COLUMNS)) is not None:
-                        before[path] = with_schema(part[0])
+                    if (part := _read(path, vehicle, [], tuple(COLUMNS))) is not None:
+                        before[path] = part[0].cast(arrow_schema())
             if len(group) + sum(map(len, before.values())) > _MAX_ROWS:
                 before = {}
-            table = _rows_once(pa.concat_tables([table_of(group), *before.values()]))
+            table = pa.concat_tables([*before.values(), table_of(group)])
+            identities = list(zip(*(table[name].to_pylist() for name in ("key", "verdict", "reason")), strict=True))
+            first = {identity: number for number, identity in reversed(list(enumerate(identities)))}
+            table = table.take(sorted(first.values()))
             # The name depends on the checks: processes that write different ones do not replace each other's file.
-            keys = sorted(map("".join, zip(*(table[name].to_pylist() for name in ("key", "verdict")), strict=True)))
-            digest = hashlib.sha256("\n".join(keys).encode()).hexdigest()[:24]
+            digest = hashlib.sha256(json.dumps(sorted(first)).encode()).hexdigest()[:24]
             path = self.folder(vehicle) / f"day={month}" / f"part-{digest}.parquet"
             content = BytesIO()
             pq.write_table(table, content, compression="zstd", use_dictionary=True)
             with write_errors("evidence", path.parent):
                 path.parent.mkdir(parents=True, exist_ok=True)
-                try:
-                    write_synced(path, content.getvalue())
-                except InputError as problem:
-                    raise problem.__cause__ or problem from None
+                write_synced(path, content.getvalue())
                 for folder in (path.parent, path.parent.parent, self.checks_folder):
                     sync_folder(folder)
             for replaced in before.keys() - {path}:
@@ -175,17 +175,15 @@ class Store:
 class Writer:
     """Appends evidence to the journal of this process, and knows which checks are finished.
 
-    `damaged` are the files and lines of the store that were skipped, `own` verdict and reason by key of the checks in
-    journals: of this writer, and of others when it began.
+    `damaged` are the files and lines of the store that were skipped, `own` the keys of finished checks in journals: of
+    this writer, and of others when it began.
     """
 
     store: Store
     damaged: list[str] = field(default_factory=list)
-    own: dict[str, tuple[str, str]] = field(default_factory=dict)
-    _pending: list[Row] = field(default_factory=list)
+    own: set[str] = field(default_factory=set)
     _journal: IO[bytes] | None = None
-    _path: Path | None = None
-    _lock: threading.RLock = field(default_factory=threading.RLock)
+    _path: Path = Path()
 
     def __post_init__(self) -> None:
         self._keys = lru_cache(_MAX_VEHICLES)(self._keys_of)
@@ -197,44 +195,27 @@ class Writer:
         self.fold()
 
     def finished(self, drive: Drive, key: str) -> bool:
-        """Return whether this check is stored, by any writer; unreadable logs are not finished. Thread-safe."""
-        with self._lock:
-            return self._stored(drive.vehicle, key)[:1] not in ((), (Verdict.UNREADABLE.value,))
+        """Return whether this check is stored, by any writer; unreadable logs are not finished."""
+        return key in self.own or key in self._keys(drive.vehicle)
 
-    def _stored(self, vehicle: str, key: str) -> tuple[str, ...]:
-        """Return verdict and reason of a stored check, empty if there is none."""
-        return self.own.get(key) or self._keys(vehicle).get(key) or ()
+    def _keys_of(self, vehicle: str) -> set[str]:
+        """Return the keys of the finished checks of a vehicle in Parquet files."""
+        keys: set[str] = set()
+        for part in self.store.parts_read(vehicle, self.damaged):
+            keys.update(part.texts["key"][part.texts["verdict"] != Verdict.UNREADABLE.value].tolist())
+        return keys
 
-    def _keys_of(self, vehicle: str) -> dict[str, tuple[str, str]]:
-        """Return verdict and reason by key; a readable row of a key counts more than an unreadable one."""
-        outcomes: dict[str, tuple[str, str]] = {}
-        for path in self.store.parts(vehicle):
-            with contextlib.suppress(FileNotFoundError):
-                if (part := _read(path, vehicle, self.damaged)) is not None:
-                    names = ("key", "verdict", "reason")
-                    for key, *outcome in zip(*(part[1].texts[name].tolist() for name in names), strict=True):
-                        if outcomes.get(key, (Verdict.UNREADABLE.value,))[0] == Verdict.UNREADABLE.value:
-                            outcomes[key] = (outcome[0], outcome[1])
-        return outcomes
-
-    def put(self, evidence: Evidence) -> bool:
-        """Store evidence on the disk before returning; False if it is stored already. Thread-safe.
+    def put(self, evidence: Evidence) -> None:
+        """Store evidence on the disk before returning.
 
         Raises InputError if it cannot be written; what was stored before is kept.
         """
-        with self._lock:
-            outcome = (evidence.verdict.value, evidence.reason)
-            stored = self._stored(evidence.vehicle, evidence.key)
-            if stored and (stored[0] != Verdict.UNREADABLE.value or stored == outcome):
-                return False
-            row = evidence.row()
-            with write_errors("evidence", self.store.journals, "free some space, then run the same command again"):
-                _append(self._open(), json.dumps(row, allow_nan=False).encode() + b"\n")
-            self._pending.append(row)
-            self.own[evidence.key] = outcome
-            if len(self._pending) >= _FOLD_ROWS:
-                self.fold()
-            return True
+        row = evidence.row()
+        with write_errors("evidence", self.store.journals, "free some space, then run the same command again"):
+            size = _append(self._open(), json.dumps(row, allow_nan=False).encode() + b"\n")
+        self.own.update(_finished([row]))
+        if size > _FOLD_BYTES:
+            self.fold()
 
     def _open(self) -> IO[bytes]:
         if self._journal is None:
@@ -248,22 +229,25 @@ class Writer:
 
     def fold(self) -> None:
         """Turn the journal of this writer into Parquet files."""
-        if self._journal is None or self._path is None:
-            return
-        self.store.add(self._pending)
-        self._path.unlink(missing_ok=True)
-        self._journal.close()
-        self._journal = self._path = None
-        self._pending.clear()
+        if self._journal is not None:
+            self.store.fold(self._path, self.damaged)
+            self._journal.close()
+            self._journal = None
 
 
-def _append(file: IO[bytes], line: bytes) -> None:
-    """Write a line to the disk, whole or not at all."""
+def _finished(rows: Iterable[Row]) -> Iterator[str]:
+    """Yield the keys of the rows that are not those of unreadable logs."""
+    return (row["key"] for row in rows if row["verdict"] != Verdict.UNREADABLE.value)
+
+
+def _append(file: IO[bytes], line: bytes) -> int:
+    """Write a line to the disk, whole or not at all; return the size of the file."""
     before = file.seek(0, os.SEEK_END)
     try:
         if file.write(line) < len(line):
             raise OSError(0, "the disk is full")
         os.fsync(file.fileno())
+        return before + len(line)
     except OSError:
         file.truncate(before)
         raise
@@ -275,9 +259,8 @@ def _read(path: Path, vehicle: str, damaged: list[str], names: Sequence[str] = R
     Raises FileNotFoundError if another file has replaced it.
     """
     try:
-        with open_parquet(path, "evidence", _MAX_ROWS) as file:
-            stored = set(file.schema_arrow.names)
-            table = file.read([name for name in names if name in stored], use_threads=False)
+        table = read_parquet(path, "evidence", names, _MAX_ROWS)
+        with naming(path):
             return table, Checks.of(table, vehicle)
     except InputError as problem:
         _skip(problem, damaged)
@@ -289,14 +272,6 @@ def _skip(problem: InputError, damaged: list[str]) -> None:
     if isinstance(problem.__cause__, FileNotFoundError):
         raise problem.__cause__ from problem
     damaged.append(str(problem))
-
-
-def _rows_once(table: Any) -> Any:
-    """Return the rows of a table without those that repeat a key with the same verdict and reason."""
-    names = ("key", "verdict", "reason")
-    identities = zip(*(table[name].to_pylist() for name in names), strict=True)
-    first = {identity: number for number, identity in reversed(list(enumerate(identities)))}
-    return table.take(sorted(first.values()))
 
 
 def _journals(folder: Path, damaged: list[str]) -> list[Path]:

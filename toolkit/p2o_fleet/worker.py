@@ -15,7 +15,7 @@ from p2o.arrays import Float
 from p2o.confidence.audit import EdgeStep, Rates, audit
 from p2o.confidence.audit import Evidence as EdgeEvidence
 from p2o.confidence.frame_choice import SeenEdges, choose
-from p2o.errors import InputError, P2OError, one_line
+from p2o.errors import InputError, P2OError, one_line, printable
 from p2o.features.view import View
 from p2o.frames.direction import Direction, pose_direction
 from p2o.frames.frame import Frame
@@ -33,11 +33,10 @@ from p2o_study.worker import Plugins, content_digests, portable_hash
 from p2o_fleet.checks import valid_estimate
 from p2o_fleet.drive import Drive
 from p2o_fleet.evidence import Evidence, Verdict, estimate_columns
-from p2o_fleet.fetch import local_data
 
 _REACH_PX = 15.0
 """Matching distance for the choice of frames, as in a check."""
-_MAX_REASON = 300
+_MAX_REASON, _MAX_NAME = 300, 100
 
 
 @dataclass(frozen=True)
@@ -76,8 +75,7 @@ def check_drive(job: DriveJob) -> Evidence:
     """Check the extrinsic of a drive; a log that cannot be checked returns the reason as evidence."""
     began = time.perf_counter()
     try:
-        with local_data(job.drive.data) as data:
-            evidence = _checked(job, data)
+        evidence = _checked(job)
     except P2OError as problem:
         evidence = unreadable(job, problem)
     except Exception as problem:  # damaged logs raise anything in readers and codecs; a fleet continues
@@ -87,18 +85,18 @@ def check_drive(job: DriveJob) -> Evidence:
 
 def unreadable(job: DriveJob, problem: P2OError) -> Evidence:
     """Return the evidence of a drive that could not be checked."""
-    return Evidence.of(job.drive, job.key, Verdict.UNREADABLE, one_line(problem, _MAX_REASON))
+    return Evidence(drive=job.drive, key=job.key, verdict=Verdict.UNREADABLE, reason=one_line(problem, _MAX_REASON))
 
 
-def _checked(job: DriveJob, data: str) -> Evidence:
+def _checked(job: DriveJob) -> Evidence:
     plan, pipeline = _built(job.plugins, job.settings)
     limit_threads()
-    dataset = open_dataset(data, plan.registry)
+    dataset = open_dataset(job.drive.data, plan.registry)
     skipped = getattr(dataset, "skipped", {})
     indices = spread(select(dataset.names, job.drive.frames, where="frames", skipped=skipped), job.settings.candidates)
     frames, problems = _read(plan, dataset, indices)
     if len(frames) < min(len(indices), max(1, len(indices) // 2)):
-        raise problems[0] if problems else InputError("the log contains no frames", where=data)
+        raise problems[0] if problems else InputError("the log contains no frames", where=job.drive.data)
     one_camera(frames)
     pose = given_extrinsic(job.drive.extrinsic, frames, plan.registry, "extrinsic").camera_from_lidar
     log = hashlib.sha256(json.dumps([content_digests(frame) for frame in frames], sort_keys=True).encode()).hexdigest()
@@ -112,14 +110,14 @@ def _checked(job: DriveJob, data: str) -> Evidence:
     figures = {} if step is None else estimate_columns(step.error, step.covariance)
     if check.agreement is not None:
         figures |= {"odds_ratio": check.agreement.odds_ratio, "cells": check.agreement.places}
-    return Evidence.of(
-        job.drive,
-        job.key,
-        Verdict(check.holding.value),
-        one_line(reason, _MAX_REASON),
+    return Evidence(
+        drive=job.drive,
+        key=job.key,
+        verdict=Verdict(check.holding.value),
+        reason=one_line(reason, _MAX_REASON),
         **figures,
         camera_from_lidar=tuple(pose[:3].ravel().tolist()),
-        frames=tuple(frames[number].name for number in chosen),
+        frames=tuple(printable(frames[number].name, _MAX_NAME) for number in chosen),
         frame_count=len(chosen),
         log=log[:32],
         extrinsic_digest=portable_hash(pose)[:32],

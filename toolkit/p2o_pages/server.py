@@ -19,6 +19,7 @@ from p2o.runtime.packages import optional_package
 HOST = "127.0.0.1"
 _MAX_LISTED_FRAMES = 500
 """Number of frames in the dropdown: those around the current frame."""
+_POLL_S = 0.2
 
 
 class FrameSession(Protocol):
@@ -55,6 +56,7 @@ class PageServer(ABC):
             raise _port_error(host, self.port)
         self._viser.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large", dark_mode=True)
         self.session, self._lock, self._notice = session, threading.RLock(), ""
+        self.done = threading.Event()
         if len(session.names) > 1:
             self.frames = self._viser.gui.add_dropdown(
                 "frame", self._frame_labels(), initial_value=self._frame_label(session.number)
@@ -77,6 +79,17 @@ class PageServer(ABC):
         """Stop serving."""
         with _silent():
             self._viser.stop()
+
+    def serve(self, browser: bool) -> None:
+        """Wait until `done` is set or Ctrl-C is pressed; `browser` opens the page in the user's browser, if any."""
+        import webbrowser
+
+        if browser:
+            with contextlib.suppress(webbrowser.Error, OSError):
+                webbrowser.open(self.url)
+        with contextlib.suppress(KeyboardInterrupt):
+            while not self.done.wait(_POLL_S):
+                pass
 
     @abstractmethod
     def show(self, *, frame: bool = False) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -22,10 +21,9 @@ from p2o_rig.extrinsics import RigExtrinsics
 from p2o_rig.sensor_graph import Edge
 
 JSON, YAML, FIGURE = "rig.json", "extrinsics.yaml", "sweeps.png"
-_COLOURS = ("#1f77b4", "#d62728", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf")
-_MAX_POINTS = 60_000
-_REACH_M, _HEIGHT_M, _SLICE_M = 20.0, 1.0, 1.0
-"""Points that a figure shows: distance from the reference, height, and half the thickness of the cross-section."""
+_COLOURS = ((31, 119, 180), (214, 39, 40), (44, 160, 44), (148, 103, 189), (255, 127, 14), (23, 190, 207))
+_REACH_M, _HEIGHT_M, _PX_PER_M = 20.0, 1.0, 30
+"""Points that the figure shows: distance from the reference and height; and its scale."""
 _FROM_OPTICAL = se3.make([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
@@ -143,48 +141,25 @@ def as_yaml(rig: RigExtrinsics) -> str:
 
 
 def figure(rig: RigExtrinsics) -> bytes:
-    """Return a PNG: sweeps of one moment from above and as a cross-section, and the sensors.
+    """Return a PNG: sweeps of one moment from above, points near the height of the reference, x ahead and y left.
 
-    The axes are those of the reference, with x ahead, y left and z up if it is a camera.
+    Each LiDAR has a colour, in which its name is written. The axes are those of the reference, levelled if it is a
+    camera.
     """
-    from matplotlib.figure import Figure
+    import cv2
 
-    kinds = {sensor.name: sensor.kind for sensor in rig.sensors}
-    level = _FROM_OPTICAL if kinds[rig.reference] == "camera" else np.eye(4)
-    canvas = Figure(figsize=(13, 7), layout="constrained")
-    grid = canvas.add_gridspec(2, 2, width_ratios=(1.6, 1))
-    above, section, sensors = (canvas.add_subplot(place) for place in (grid[:, 0], grid[0, 1], grid[1, 1]))
+    is_camera = any(sensor.name == rig.reference and sensor.kind == "camera" for sensor in rig.sensors)
+    level = _FROM_OPTICAL if is_camera else np.eye(4)
+    side = int(2 * _REACH_M * _PX_PER_M)
+    canvas = np.full((side, side, 3), 255, np.uint8)
     names = sorted(rig.clouds, key=lambda name: -len(rig.clouds[name]))  # dense sweeps below sparse ones
-    clouds = {name: level @ pose for name in names if (pose := rig.pose(name)) is not None}
-    for colour, (name, pose) in zip(np.resize(_COLOURS, len(clouds)), clouds.items(), strict=True):
-        xyz = se3.apply(pose, rig.clouds[name].xyz)
-        for axes, up in ((above, 1), (section, 2)):
-            part = _shown(xyz, up)
-            first, second = (0, 1) if up == 1 else (1, 2)
-            style = {"s": 1.0, "color": colour, "linewidths": 0, "alpha": 0.6, "label": name}
-            axes.scatter(part[:, first], part[:, second], **style)
-    for name, pose in rig.graph.solution.poses.items():
-        (x, y), ahead = (level @ pose)[:2, 3], (level @ pose)[:2, 2 if kinds[name] == "camera" else 0]
-        sensors.arrow(x, y, *(0.3 * ahead), width=0.01, color="tab:gray" if kinds[name] == "camera" else "black")
-        sensors.annotate(name, (x + 0.4 * ahead[0], y + 0.4 * ahead[1]), fontsize=8, ha="center", va="center")
-    sensors.margins(0.3)
-    for axes, title, labels in (
-        (above, "from above", "xy"),
-        (section, f"cross-section, |x| < {_SLICE_M:g} m", "yz"),
-        (sensors, "sensors from above, arrows ahead", "xy"),
-    ):
-        axes.set_aspect("equal", adjustable="datalim")
-        axes.set(title=title, xlabel=f"{labels[0]} [m]", ylabel=f"{labels[1]} [m]")
-    if clouds:
-        above.legend(markerscale=10, loc="upper right")
-    buffer = io.BytesIO()
-    canvas.savefig(buffer, format="png", dpi=110)
-    return buffer.getvalue()
-
-
-def _shown(xyz: Float, up: int) -> Float:
-    """Return the points (M, 3) that a view shows: from above those near the height of the sensors, else a slice."""
-    near = np.abs(xyz[:, :2]).max(axis=1) < _REACH_M
-    near &= np.abs(xyz[:, 2]) < _HEIGHT_M if up == 1 else np.abs(xyz[:, 0]) < _SLICE_M
-    rows = np.flatnonzero(near)
-    return xyz[rows[:: max(1, len(rows) // _MAX_POINTS)]]
+    for number, name in enumerate(names):
+        pose, colour = rig.pose(name), _COLOURS[number % len(_COLOURS)]
+        if pose is None:
+            continue
+        xyz = se3.apply(level @ pose, rig.clouds[name].xyz)
+        near = (np.abs(xyz[:, :2]).max(axis=1) < _REACH_M) & (np.abs(xyz[:, 2]) < _HEIGHT_M)
+        row, column = np.floor((_REACH_M - xyz[near, :2]) * _PX_PER_M).astype(np.int64).T
+        canvas[row, column] = colour
+        cv2.putText(canvas, ascii(name)[1:-1], (20, 40 + 40 * number), cv2.FONT_HERSHEY_SIMPLEX, 1.0, colour, 2)
+    return bytes(cv2.imencode(".png", canvas[..., ::-1])[1].tobytes())

@@ -58,7 +58,7 @@ class Edge:
     @property
     def name(self) -> str:
         """Name in messages: both sensors and the kind."""
-        return edge_name(self.parent, self.child, self.kind)
+        return f"{self.parent}-{self.child} ({self.kind})"
 
     @property
     def size(self) -> float:
@@ -79,12 +79,7 @@ class LeftOut:
     @property
     def name(self) -> str:
         """Name in messages, as that of an edge."""
-        return edge_name(self.parent, self.child, self.kind)
-
-
-def edge_name(parent: str, child: str, kind: EdgeKind) -> str:
-    """Return the name of an edge in messages: both sensors and the kind."""
-    return f"{parent}-{child} ({kind})"
+        return f"{self.parent}-{self.child} ({self.kind})"
 
 
 @dataclass(frozen=True, eq=False)

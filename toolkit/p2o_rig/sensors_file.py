@@ -162,11 +162,9 @@ def _rows(reference: str, path: Path) -> list[tuple[str, Any]]:
     name, _, camera = reference.partition("#")
     file = path.parent / expanded(name)
     content = parse_json(read_text(file, "file of results"), "file of results", file)
-    if not isinstance(content, Mapping):
-        raise InputError("the file holds no results", where=file, expected="JSON of `p2o run`", got=repr(content)[:40])
-    rows = content.get("results", [content])
+    rows = content.get("results", [content]) if isinstance(content, Mapping) else None
     if not isinstance(rows, list) or not rows or not all(isinstance(row, Mapping) for row in rows):
-        raise InputError("the file holds no results", where=file, expected="JSON of `p2o run`", got=repr(rows)[:40])
+        raise InputError("the file holds no results", where=file, expected="JSON of `p2o run`", got=repr(content)[:40])
     if camera and len(rows) > 1:
         got = f"{len(rows)} results"
         raise InputError(f"#{camera} names the camera of one result", where=file, expected="one result", got=got)

@@ -26,8 +26,12 @@ def opened(number: int) -> Opened:
     return Opened(replace(FRAME, name=f"frame {number}"), KnownPose(START, "the start of the data"), result)
 
 
-def session(out: Path, **words: object) -> ViewSession:
-    return ViewSession(["a", "b", "c"], opened, out / "start.yaml", **words)
+def calibrated(frame: Frame, start: np.ndarray) -> KnownPose:
+    return KnownPose(START, f"{frame.name} from {'the result' if start is RESULT else 'elsewhere'}")
+
+
+def session(out: Path, **words: int) -> ViewSession:
+    return ViewSession(["a", "b", "c"], opened, calibrated, out / "start.yaml", **words)
 
 
 def test_it_begins_at_the_result_where_there_is_one_else_at_the_start(tmp_path: Path) -> None:
@@ -37,7 +41,7 @@ def test_it_begins_at_the_result_where_there_is_one_else_at_the_start(tmp_path: 
     assert viewed.pose is START
     viewed.begin_at("result")
     assert viewed.pose is RESULT
-    without = ViewSession(["b"], lambda _: opened(1), tmp_path / "start.yaml")
+    without = ViewSession(["b"], lambda _: opened(1), calibrated, tmp_path / "start.yaml")
     assert without.pose is START
     without.begin_at("result")
     assert without.pose is START
@@ -91,31 +95,23 @@ def test_it_says_how_far_the_pose_is_from_start_and_result(tmp_path: Path) -> No
 
 
 def test_a_calibration_from_here_is_the_result_of_its_frame_alone(tmp_path: Path) -> None:
-    asked = []
-
-    def calibrated(frame: Frame, start: np.ndarray) -> KnownPose:
-        asked.append((frame.name, start))
-        return KnownPose(START, "found")
-
-    viewed = session(tmp_path, calibrate=calibrated)
-    assert viewed.calibrates
-    assert viewed.calibrate() == "found"
-    assert [(name, start is RESULT) for name, start in asked] == [("frame 0", True)]
+    viewed = session(tmp_path)
+    assert viewed.calibrate() == "frame 0 from the result"
     assert viewed.result is not None
     assert viewed.result.camera_from_lidar is START
     viewed.look_at(1)
     assert viewed.result is None
     viewed.look_at(0)
     assert viewed.result is not None
-    assert viewed.result.description == "found"
+    assert viewed.result.description == "frame 0 from the result"
 
 
 @pytest.mark.parametrize("name", ["start", "start.yaml#a", "a?b=.yaml"])
 def test_a_file_that_start_would_not_take_for_one_is_refused(name: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--start rejects"):
-        ViewSession(["a"], opened, str(tmp_path / name))
+        ViewSession(["a"], opened, calibrated, str(tmp_path / name))
     with pytest.raises(InputError, match="folder of the start is missing"):
-        ViewSession(["a"], opened, tmp_path / "none" / "start.yaml")
+        ViewSession(["a"], opened, calibrated, tmp_path / "none" / "start.yaml")
 
 
 # ---- what is shown

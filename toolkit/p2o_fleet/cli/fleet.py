@@ -6,13 +6,14 @@ import importlib.util
 import json
 import sys
 import time
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 from p2o.cli.json_output import json_option, print_json
-from p2o.cli.plugin_options import load, plugin_options
+from p2o.cli.plugin_options import plugin_options
 from p2o.cli.progress import LINE_INTERVAL_S
 from p2o.errors import MethodUnavailable, printable
 from p2o_study.cli.ablate import cluster_options, jobs_option
@@ -27,7 +28,7 @@ def command() -> None:
     """Check the extrinsics of many vehicles, find slips and systematic errors, and report on them.
 
     `p2o fleet run` checks the drives of a table and stores the evidence, `p2o fleet report` applies sequential tests
-    to it and writes JSON, metrics and a page. docs/how-to/fleet.md explains table, store and tests.
+    to it and writes JSON and a page. docs/how-to/fleet.md explains table, store and tests.
     """
     if importlib.util.find_spec("pyarrow") is None:
         hint = 'run: pip install "p2o-calib[fleet]"'
@@ -37,7 +38,7 @@ def command() -> None:
 _option = partial(click.option, show_default=True)
 _store = _option("--store", default="p2o-out/fleet", metavar="DIR", help="Folder of the stored evidence.")
 _COUNT, _SEED = click.IntRange(1, 1_000_000), click.IntRange(0)
-_RATE, _SHARE, _DEG = click.FloatRange(0.01, 1e6), click.FloatRange(0, 1), click.FloatRange(-90, 90)
+_SHARE, _DEG = click.FloatRange(0, 1), click.FloatRange(-90, 90)
 
 
 @command.command("run")
@@ -65,14 +66,14 @@ def run(
     block: tuple[str, ...],
     **words: Any,
 ) -> int:
-    """Check the drives of a table, or of a folder ROOT/VEHICLE/TIME, that are not stored yet.
+    """Check the drives of a table that are not stored yet.
 
-    DRIVES is a CSV or Parquet file with the columns vehicle, camera, lidar, data, extrinsic and time. A log that cannot
-    be read is stored with the reason, and tried again by the next run.
+    DRIVES is a CSV file with the columns vehicle, camera, lidar, data, extrinsic and time. A log that cannot be read is
+    stored with the reason, and tried again by the next run.
 
     \b
     p2o fleet run drives.csv --store fleet --jobs 4
-    p2o fleet run drives.parquet --store fleet --backend dask --address tcp://HOST:8786
+    p2o fleet run drives.csv --store fleet --backend dask --address tcp://HOST:8786
 
     Exit status 0 if every drive is checked, 1 if logs were unreadable, 2 for wrong input, 130 if interrupted.
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
@@ -93,7 +94,7 @@ def run(
         settings=settings,
         plugins=Plugins.of(block, plugin),
         workers=Workers(jobs, backend, address),
-        on_check=(lambda outcome, evidence: None) if quiet or as_json else _Lines(),
+        on_check=(lambda outcome, evidence: None) if quiet or as_json else _show_progress(),
     )
     unreadable = done.verdicts[Verdict.UNREADABLE.value]
     for text in done.damaged:
@@ -111,20 +112,19 @@ def run(
     return 1 if unreadable else 0
 
 
-class _Lines:
-    """Prints a line of progress every few seconds, and a line for each unreadable log."""
+def _show_progress() -> Callable[[RunOutcome, Evidence], None]:
+    """Return a function that prints a line of progress every few seconds, and a line for each unreadable log."""
+    last = time.monotonic()
 
-    def __init__(self) -> None:
-        self.last = time.monotonic()
-
-    def __call__(self, outcome: RunOutcome, evidence: Evidence) -> None:
-        from p2o_fleet.evidence import Verdict
-
-        if evidence.verdict is Verdict.UNREADABLE:
-            print(f"p2o: {printable(evidence.data, 200)}: {printable(evidence.reason)}", file=sys.stderr)
-        if time.monotonic() - self.last > LINE_INTERVAL_S:
-            self.last = time.monotonic()
+    def show(outcome: RunOutcome, evidence: Evidence) -> None:
+        nonlocal last
+        if evidence.verdict == "unreadable":
+            print(f"p2o: {printable(evidence.drive.data, 200)}: {printable(evidence.reason)}", file=sys.stderr)
+        if time.monotonic() - last > LINE_INTERVAL_S:
+            last = time.monotonic()
             print(f"p2o: {outcome.checked} drives checked, {outcome.kept} stored before", file=sys.stderr)
+
+    return show
 
 
 @command.command("report")
@@ -137,21 +137,10 @@ class _Lines:
 @jobs_option
 @click.option("--require", is_flag=True, help="Exit status 1 also if the state of an extrinsic is unknown.")
 @json_option
-@plugin_options
-def report(
-    store: str,
-    out: str,
-    jobs: int,
-    require: bool,
-    as_json: bool,
-    plugin: tuple[str, ...],
-    block: tuple[str, ...],
-    **rules: Any,
-) -> int:
+def report(store: str, out: str, jobs: int, require: bool, as_json: bool, **rules: Any) -> int:
     """Compute the state of every extrinsic from the stored evidence, and write the report.
 
-    Writes index.html (a page that works offline), fleet.json, fleet.prom (metrics for Prometheus), webhook.json (alarms
-    that the last report in the folder did not contain) and proposed extrinsics to DIR.
+    Writes index.html (a page that works offline) and fleet.json to DIR.
 
     \b
     p2o fleet report --store fleet --out report
@@ -163,20 +152,19 @@ def report(
     from p2o_study.parallel import Workers
 
     from p2o_fleet.fleet_state import FleetRules, FleetStatus, fleet_state
-    from p2o_fleet.outputs import summary_lines, write_outputs
-    from p2o_fleet.overlays import Overlays
+    from p2o_fleet.outputs import summary_lines, write_state
     from p2o_fleet.page import write_page
     from p2o_fleet.store import Store
 
     state = fleet_state(Store.existing(store), FleetRules(**rules), Workers(jobs))
     folder = Path(out).expanduser()
-    plain = write_outputs(state, folder)
-    write_page(state, folder, Overlays(load(plugin, block)))
+    plain = write_state(state, folder)
+    write_page(state, folder)
     if as_json:
         print_json(plain)
     else:
         click.echo("\n".join(printable(line) for line in summary_lines(state)))
-        click.echo(f"wrote {folder / 'index.html'}, fleet.json, fleet.prom, webhook.json")
+        click.echo(f"wrote {folder / 'index.html'} and fleet.json")
     unknown = any(one.status is FleetStatus.CANNOT_TELL for one in state.current)
     return 1 if state.alarms or any(one.alarms for one in state.types) or (require and unknown) else 0
 
@@ -185,14 +173,10 @@ def report(
 @click.argument("out")
 @_option("--vehicles", type=_COUNT, default=1000, metavar="N", help="Number of vehicles.")
 @_option("--checks", type=_COUNT, default=100, metavar="N", help="Number of checks of each vehicle.")
-@_option("--per-day", type=_RATE, default=10.0, metavar="N", help="Number of checks per day.")
 @_option("--faults", type=_SHARE, default=0.1, metavar="SHARE", help="Share of vehicles with a fault.")
-@_option("--rigs", default="sim-hdl-64e,kitti", metavar="NAME,...", help="Rigs of the noise.")
 @_option("--wrong-cad", type=_DEG, default=0.0, metavar="DEG", help="Yaw error of all vehicles of one type.")
 @_option("--seed", type=_SEED, default=0, metavar="N", help="Seed of all random numbers.")
-def simulate(
-    out: str, vehicles: int, checks: int, per_day: float, faults: float, rigs: str, wrong_cad: float, seed: int
-) -> int:
+def simulate(out: str, vehicles: int, checks: int, faults: float, wrong_cad: float, seed: int) -> int:
     """Write the store of a simulated fleet: measured evidence of real and simulated rigs, resampled, with faults.
 
     Half of the faults are slips; the others are drifts, swapped cameras, dirty lenses, broken logs and clock errors.
@@ -211,7 +195,7 @@ def simulate(
     store = Store(Path(out).expanduser())
     if store.checks_folder.exists():
         raise InputError("the folder contains a store", where=out, expected="a new folder")
-    scenario = Scenario(vehicles, checks, per_day, tuple(rigs.split(",")), shares, wrong_cad_deg=wrong_cad, seed=seed)
+    scenario = Scenario(vehicles, checks, shares=shares, wrong_cad_deg=wrong_cad, seed=seed)
     total = write_fleet(simulated_fleet(scenario, NoiseBank.shipped()), store)
     click.echo(f"{total} checks of {vehicles} vehicles written to {out}")
     return 0

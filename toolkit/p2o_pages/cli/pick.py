@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 from pathlib import Path
 
 import click
 from p2o.cli.plugin_options import data_argument, load, plugin_options
-
-_POLL_S = 0.2
 
 
 @click.command("pick")
@@ -56,21 +53,10 @@ def command(
     dataset = open_dataset(data, load(plugin, block), parse_settings(settings).get("data", {}))
     indices = select(dataset.names, frames, where="--frames", skipped=dataset.skipped)
     session = PickSession(dataset, [dataset.names[index] for index in indices], indices, Path(out))
-    with PickServer(session, port) as server, contextlib.suppress(KeyboardInterrupt):
+    with PickServer(session, port) as server:
         click.echo(f"pick at {server.url} (done there, or Ctrl-C here, ends it)")
-        if not no_browser:
-            open_page(server.url)
-        while not server.done.wait(_POLL_S):
-            pass
+        server.serve(browser=not no_browser)
     click.echo(f"{session.count} pairs of {len(session.names)} frames in {session.path}")
     if session.count:
         click.echo(f"next: p2o run --data {data} --calibrator picked --set calibrator.pairs={session.path}")
     return 0 if session.count else 1
-
-
-def open_page(url: str) -> None:
-    """Open the page in the user's browser, if there is one."""
-    import webbrowser
-
-    with contextlib.suppress(webbrowser.Error, OSError):
-        webbrowser.open(url)

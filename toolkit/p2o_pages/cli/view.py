@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -15,8 +13,6 @@ from p2o.cli.plugin_options import load, plugin_options
 from p2o.cli.pose_options import StartCommand, pose_options
 from p2o.errors import InputError, printable
 
-from p2o_pages.cli.pick import open_page
-
 if TYPE_CHECKING:
     from p2o.arrays import Float
     from p2o.frames.frame import Frame
@@ -25,7 +21,6 @@ if TYPE_CHECKING:
 
     from p2o_pages.view.session import KnownPose
 
-_POLL_S = 0.2
 ROUGH = "roughly x forward, z up; camera looks forward"
 """Initial guess for frames without any: the usual mounting on cars."""
 
@@ -113,13 +108,10 @@ def command(
         indices = [index for index in indices if dataset.names[index] in results] or indices
     opener = _Opener(dataset, indices, given, results)
     names = [dataset.names[index] for index in indices]
-    session = ViewSession(names, opener, out, calibrate=partial(_calibrated, registry), registry=registry)
-    with ViewServer(session, host, port) as server, contextlib.suppress(KeyboardInterrupt):
+    session = ViewSession(names, opener, partial(_calibrated, registry), out, registry=registry)
+    with ViewServer(session, host, port) as server:
         click.echo(f"view at {server.url} (Ctrl-C here ends it)")
-        if not no_browser:
-            open_page(server.url)
-        while True:
-            threading.Event().wait(_POLL_S)
+        server.serve(browser=not no_browser)
     if session.written is not None:
         path = printable(str(session.written))
         click.echo(f"{path} holds the pose; next: p2o run --data {printable(data)} --start {path}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -83,7 +82,6 @@ class PickServer(PageServer):
 
     def __init__(self, session: PickSession, port: int = 0) -> None:
         super().__init__("p2o pick", session, HOST, port)
-        self.done = threading.Event()
         self._labels: list[Any] = []
         self._build()
         self.show(frame=True)

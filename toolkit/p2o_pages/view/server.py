@@ -63,9 +63,8 @@ class ViewServer(PageServer):
             zero.on_click(lambda _: self._do(lambda: session.settle(self.axes.value), reset_sliders=True))
         self.write = gui.add_button(f"write {printable(session.out.name)}", color="green")
         self.write.on_click(lambda _: self._do(self._write))
-        if session.calibrates:
-            self.calibrate = gui.add_button("calibrate from here")
-            self.calibrate.on_click(lambda _: self._calibrated())
+        self.calibrate = gui.add_button("calibrate from here")
+        self.calibrate.on_click(lambda _: self._calibrated())
         with gui.add_folder("Display"):
             self.by = gui.add_dropdown("cloud by", session.shown.colourings, initial_value="range")
             self.point_size = gui.add_slider("point size [cm]", 0.5, 15.0, 0.5, 4.0)

@@ -48,8 +48,8 @@ Calibrate = Callable[[Frame, Float], KnownPose]
 class ViewSession:
     """One frame at a time, and one pose that is kept when another frame is shown. Not thread-safe.
 
-    `open_frame` reads a frame by its number in `names`; `out` is the file of `write`; `calibrate` calibrates a frame
-    from an initial guess; `registry` (default: that of the process) has the exporter `text`, which writes the file.
+    `open_frame` reads a frame by its number in `names`; `calibrate` calibrates a frame from an initial guess; `out` is
+    the file of `write`; `registry` (default: that of the process) has the exporter `text`, which writes the file.
 
     Raises InputError for a file name that `--start` would not accept, and as `open_frame` for the first frame.
     """
@@ -58,8 +58,8 @@ class ViewSession:
         self,
         names: Sequence[str],
         open_frame: Open,
+        calibrate: Calibrate,
         out: Path | str = "start.yaml",
-        calibrate: Calibrate | None = None,
         most_points: int = MOST_POINTS,
         registry: Registry | None = None,
     ):
@@ -128,14 +128,8 @@ class ViewSession:
         self.written = self.out
         return self.out
 
-    @property
-    def calibrates(self) -> bool:
-        """Whether `calibrate` is available."""
-        return self._calibrate is not None
-
     def calibrate(self) -> str:
         """Calibrate the current frame from the current pose, store the result and return its description."""
-        assert self._calibrate is not None
         number, frame = self.number, self.frame
         self._results[number] = self._calibrate(frame, self.pose)
         return self._results[number].description

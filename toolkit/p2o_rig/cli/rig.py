@@ -36,8 +36,6 @@ def command(sensors: str, out: str | None, as_json: bool, plugin: tuple[str, ...
 
     folder = None if out is None else expanded(out)
     if folder is not None:
-        import matplotlib.figure  # noqa: F401  (reports a missing package before any work)
-    if folder is not None:
         with write_errors("the results", folder, "choose another folder"):
             folder.mkdir(parents=True, exist_ok=True)
     rig = estimate_extrinsics(read_sensors(sensors), load(plugin, block))
