@@ -116,7 +116,7 @@ def test_every_check_has_a_promise_and_every_kind_has_checks() -> None:
 
 def test_the_stage_is_exact() -> None:
     view, frame = stage.view(), stage.frame()
-    assert np.bincount(frame.cloud.ring).tolist() == [1500] * 64
+    assert np.bincount(frame.cloud.ring).tolist() == [1000] * 64
     # Image edges are the projection of the same outlines that the cloud edges are sampled from.
     uv = frame.camera.project(p2o.se3.apply(stage.camera_from_lidar(), view.cloud_edges.xyz))
     for side, tree in view.image_edges.trees.items():

@@ -147,12 +147,12 @@ def test_noise_and_camera_leave_the_place_as_it_is() -> None:
 
 def test_a_dwell_lasts_as_long_as_asked_and_is_compensated_exactly() -> None:
     dwell: dict[str, Any] = {**SMALL, "lidar": "mid-40", "speed_m_s": 3.0, "noise_m": 0.0}
-    short, long = (build(SyntheticOptions(**dwell, sweep_s=sweep_s))[0] for sweep_s in (0.1, 1.0))
-    assert len(long.cloud) > 5 * len(short.cloud)
-    assert np.ptp(long.cloud.time_s) == pytest.approx(1.0, abs=0.02)
-    raw = build(SyntheticOptions(**dwell, sweep_s=1.0, deskew=False))[0]
+    short, long = (build(SyntheticOptions(**dwell, sweep_s=sweep_s))[0] for sweep_s in (0.1, 0.5))
+    assert len(long.cloud) > 3 * len(short.cloud)
+    assert np.ptp(long.cloud.time_s) == pytest.approx(0.5, abs=0.02)
+    raw = build(SyntheticOptions(**dwell, sweep_s=0.5, deskew=False))[0]
     np.testing.assert_array_equal(raw.cloud.untwisted(raw.twist).xyz, long.cloud.xyz)
-    assert np.abs(raw.cloud.xyz - long.cloud.xyz).max() == pytest.approx(3.0 / 2, abs=0.2)
+    assert np.abs(raw.cloud.xyz - long.cloud.xyz).max() == pytest.approx(3.0 / 4, abs=0.1)
 
 
 def test_frames_of_a_drive_show_one_place_from_a_moving_car() -> None:
@@ -363,16 +363,16 @@ def test_in_a_room_it_does_not_rain() -> None:
     assert clear.cloud.xyz.tobytes() == rain.cloud.xyz.tobytes()
 
 
-RANDOM: dict[str, Any] = {"rig": "random-rings", "megapixels": 0.03, "scenes": 3, "place": "anywhere", "weather": "any"}
+RANDOM: dict[str, Any] = {"rig": "random-rings", "megapixels": 0.03, "scenes": 2, "place": "anywhere", "weather": "any"}
 
 
 def test_each_scene_of_random_rigs_has_its_own_one_and_a_start_as_wrong_as_asked() -> None:
     frames = list(build(SyntheticOptions(**RANDOM, start_error="3deg 0.2m")))
-    assert len({frame.camera for frame in frames}) == 3
-    assert len({frame.camera_from_lidar.tobytes() for frame in frames}) == 3
+    assert len({frame.camera for frame in frames}) == 2
+    assert len({frame.camera_from_lidar.tobytes() for frame in frames}) == 2
     off = [se3.inverse(frame.camera_from_lidar) @ frame.start for frame in frames]
-    assert [se3.angle_deg(error) for error in off] == pytest.approx([3.0] * 3, abs=1e-6)
-    assert [se3.distance_m(error) for error in off] == pytest.approx([0.2] * 3, abs=1e-9)
+    assert [se3.angle_deg(error) for error in off] == pytest.approx([3.0] * 2, abs=1e-6)
+    assert [se3.distance_m(error) for error in off] == pytest.approx([0.2] * 2, abs=1e-9)
     assert se3.angle_deg(se3.inverse(off[0]) @ off[1]) > 0.1
     again = build(SyntheticOptions(**RANDOM, start_error="3deg 0.2m"))[1]
     assert again.cloud.xyz.tobytes() == frames[1].cloud.xyz.tobytes()

@@ -175,10 +175,12 @@ def test_eight_neighbours_give_the_same_edges_as_their_first_four(weights: Path,
 @pytest.mark.parametrize("weights", ["free", "kitti"])
 def test_shipped_weights_find_edges_of_a_street_they_have_not_seen_on_their_own_side(weights: str) -> None:
     """Within 2 px of the surest edges there is far more often an exact edge of their side than one of the other."""
-    frame = synthetic.build(synthetic.SyntheticOptions(place="street", seed=206, right=False))[0]
+    frame = synthetic.build(
+        synthetic.SyntheticOptions(place="street", seed=206, width_px=621, height_px=188, right=False)
+    )[0]
     found = build(P2ORNetOptions(weights=weights, min_confidence=0.7))(frame.image).edges
     exact = depth.METHOD.build(depth.METHOD.options())(frame.image).edges
-    assert len(found) > 500
+    assert len(found) > 200
 
     def share(side_of: dict[Side, Side]) -> float:
         near = [
