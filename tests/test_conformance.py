@@ -18,7 +18,7 @@ from p2o_testing import CHECKS, Case, CheckFailed, NotApplicable, checks_for, co
 from tests.broken_methods import BROKEN, REGISTRY
 from tests.rendered_frames import all_rendered
 
-SMALL = {"synthetic": {"width_px": 310, "height_px": 94}}
+SMALL = {"synthetic": {"width_px": 310, "height_px": 94, "lidar": "vlp-16"}}
 
 
 SOLVED = "the_example_is_solved"
@@ -116,7 +116,7 @@ def test_every_check_has_a_promise_and_every_kind_has_checks() -> None:
 
 def test_the_stage_is_exact() -> None:
     view, frame = stage.view(), stage.frame()
-    assert np.bincount(frame.cloud.ring).tolist() == [1000] * 64
+    assert np.bincount(frame.cloud.ring).tolist() == [1500] * 64
     # Image edges are the projection of the same outlines that the cloud edges are sampled from.
     uv = frame.camera.project(p2o.se3.apply(stage.camera_from_lidar(), view.cloud_edges.xyz))
     for side, tree in view.image_edges.trees.items():

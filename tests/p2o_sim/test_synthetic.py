@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import subprocess
-import sys
 from collections.abc import Iterator
 from functools import cache, lru_cache
 from itertools import pairwise
@@ -126,33 +123,12 @@ def test_the_same_options_give_the_same_bytes_and_another_seed_or_scene_others()
     assert all(a != b for a, b in zip(first, other_seed, strict=True))
 
 
-def test_another_process_makes_the_same_bytes() -> None:
-    code = (
-        "import hashlib; from p2o_sim.synthetic import SyntheticOptions as O, build;"
-        f"f = build(O(**{SMALL!r}))[0];"
-        "print(hashlib.sha256(f.image.rgb.tobytes() + f.cloud.xyz.tobytes()).hexdigest())"
-    )
-    there = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
-    frame = build(SyntheticOptions(**SMALL))[0]
-    assert there == hashlib.sha256(frame.image.rgb.tobytes() + frame.cloud.xyz.tobytes()).hexdigest()
-
-
 def test_noise_and_camera_leave_the_place_as_it_is() -> None:
     quiet, noisy = (_frame(**{**CLEAN, **STILL, "right": False, "noise_m": noise}) for noise in (0.0, 0.05))
     assert quiet.image.rgb.tobytes() == noisy.image.rgb.tobytes()
     assert np.linalg.norm(quiet.cloud.xyz - noisy.cloud.xyz, axis=1).std() > 0.01
     fisheye = _frame(**{**CLEAN, **STILL, "right": False, "camera": "fisheye"})
     assert fisheye.cloud.xyz.tobytes() == quiet.cloud.xyz.tobytes()
-
-
-def test_a_dwell_lasts_as_long_as_asked_and_is_compensated_exactly() -> None:
-    dwell: dict[str, Any] = {**SMALL, "lidar": "mid-40", "speed_m_s": 3.0, "noise_m": 0.0}
-    short, long = (build(SyntheticOptions(**dwell, sweep_s=sweep_s))[0] for sweep_s in (0.1, 0.5))
-    assert len(long.cloud) > 3 * len(short.cloud)
-    assert np.ptp(long.cloud.time_s) == pytest.approx(0.5, abs=0.02)
-    raw = build(SyntheticOptions(**dwell, sweep_s=0.5, deskew=False))[0]
-    np.testing.assert_array_equal(raw.cloud.untwisted(raw.twist).xyz, long.cloud.xyz)
-    assert np.abs(raw.cloud.xyz - long.cloud.xyz).max() == pytest.approx(3.0 / 4, abs=0.1)
 
 
 def test_frames_of_a_drive_show_one_place_from_a_moving_car() -> None:
@@ -344,7 +320,7 @@ def test_in_a_building_the_rig_is_slow_and_low_unless_told(place: str) -> None:
     assert np.linalg.norm(told.moment.twist[3:]) == pytest.approx(2.0)
 
 
-@pytest.mark.parametrize("weather", ["overcast", "rain", "fog", "night"])
+@pytest.mark.parametrize("weather", ["rain", "night"])
 def test_weather_changes_the_picture_and_neither_the_place_nor_the_truth(weather: str) -> None:
     clear, other = _frame(weather="clear", **STREET), build(SyntheticOptions(weather=weather, **STREET))[0]
     assert clear.image.depth_m.tobytes() == other.image.depth_m.tobytes()
@@ -352,15 +328,10 @@ def test_weather_changes_the_picture_and_neither_the_place_nor_the_truth(weather
     for name in ("rgb", "right"):
         a, b = (getattr(frame.image, name).astype(float) for frame in (clear, other))
         assert np.abs(a - b).mean() > 8
-    if weather in ("rain", "fog"):
+    if weather == "rain":
         assert clear.cloud.xyz.tobytes() != other.cloud.xyz.tobytes()
     else:
         assert clear.cloud.xyz.tobytes() == other.cloud.xyz.tobytes()
-
-
-def test_in_a_room_it_does_not_rain() -> None:
-    clear, rain = (build(SyntheticOptions(place="room", weather=name, **SMALL))[0] for name in ("clear", "rain"))
-    assert clear.cloud.xyz.tobytes() == rain.cloud.xyz.tobytes()
 
 
 RANDOM: dict[str, Any] = {"rig": "random-rings", "megapixels": 0.03, "scenes": 2, "place": "anywhere", "weather": "any"}

@@ -37,7 +37,7 @@ _GREYS = np.array([40.0, 215.0, 45.0, 210.0, 50.0, 125.0, 125.0, 105.0, 140.0, 1
 _FRONT_M, _BACK_M, _SIDE_M, _CEILING_M = 22.0, -15.0, 12.0, 8.0
 # Axis and place of each wall, then of the floor and the ceiling.
 _WALLS = ((0, _FRONT_M), (0, _BACK_M), (1, _SIDE_M), (1, -_SIDE_M), (2, FLOOR_M), (2, _CEILING_M))
-_BEAMS, _COLUMNS = 64, 1000
+_BEAMS, _COLUMNS = 64, 1500
 
 
 @lru_cache(maxsize=1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from p2o_plugins.p2ornet.shipped import weights_named
 from p2o_plugins.p2ornet.weights import save_weights
 from p2o_sim import synthetic
 
+pytestmark = pytest.mark.usefixtures("one_torch_thread")
 THIN = Shape("efficientnet-lite0", (8, 4, 4, 4, 4), 2)
 
 
@@ -63,14 +63,6 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("weights") / "contrast.safetensors"
     save_weights(contrast_network().tensors(), THIN, path)
     return path
-
-
-@pytest.fixture(autouse=True)
-def _one_thread() -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 def camera(width: int, height: int) -> Camera:
