@@ -175,9 +175,9 @@ def test_sweeps_are_moved_to_the_moments_of_their_pictures() -> None:
 
 @pytest.fixture(scope="module")
 def simulated() -> list[p2o.Frame]:
-    """A drive with curves, 14 frames 0.05 s apart, whose LiDAR has some noise in its odometry."""
+    """A drive with curves, 18 frames 0.05 s apart, whose LiDAR has some noise in its odometry."""
     text = (
-        "synthetic:?place=street&frames_per_scene=14&period_s=0.05&speed_m_s=4&swing_deg=20&sway=0&right=false"
+        "synthetic:?place=street&frames_per_scene=18&period_s=0.05&speed_m_s=4&swing_deg=20&sway=0&right=false"
         "&odometry_noise_deg=0.01&odometry_noise_m=0.01&width_px=414&height_px=125&lidar=vlp-16"
     )
     return list(p2o.Recipe.of(data=text).resolve(p2o.Registry.load()).dataset())

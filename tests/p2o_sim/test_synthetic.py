@@ -320,20 +320,6 @@ def test_in_a_building_the_rig_is_slow_and_low_unless_told(place: str) -> None:
     assert np.linalg.norm(told.moment.twist[3:]) == pytest.approx(2.0)
 
 
-@pytest.mark.parametrize("weather", ["rain", "night"])
-def test_weather_changes_the_picture_and_neither_the_place_nor_the_truth(weather: str) -> None:
-    clear, other = _frame(weather="clear", **STREET), build(SyntheticOptions(weather=weather, **STREET))[0]
-    assert clear.image.depth_m.tobytes() == other.image.depth_m.tobytes()
-    assert clear.start.tobytes() == other.start.tobytes()
-    for name in ("rgb", "right"):
-        a, b = (getattr(frame.image, name).astype(float) for frame in (clear, other))
-        assert np.abs(a - b).mean() > 8
-    if weather == "rain":
-        assert clear.cloud.xyz.tobytes() != other.cloud.xyz.tobytes()
-    else:
-        assert clear.cloud.xyz.tobytes() == other.cloud.xyz.tobytes()
-
-
 RANDOM: dict[str, Any] = {"rig": "random-rings", "megapixels": 0.03, "scenes": 2, "place": "anywhere", "weather": "any"}
 
 
@@ -390,16 +376,9 @@ def test_frames_of_a_drive_share_the_random_rig_of_their_scene() -> None:
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"boards": 0},
         {"targets": "cube"},
-        {"scenes": 0},
         {"noise_m": -0.1},
-        {"camera": "pinhole2"},
-        {"width_px": 1},
-        {"focal_px": 0},
-        {"lidar_height_m": 0},
         {"weather": "hail"},
-        {"rig": "loose"},
         {"megapixels": 0},
         {"colour": "red"},
         {"place": "moon"},
