@@ -1,6 +1,6 @@
 """Print the table of results on frames that were kept back from development, as measured by others.
 
-    python benchmarks/kept_back.py FILE.md [--weights free] [--columns "deg median;cm median;good"]
+    python benchmarks/kept_back.py FILE.md [--weights free]
     python benchmarks/kept_back.py FILE.md --weights free --beside rigs
     python benchmarks/kept_back.py FILE.md --brief    # one line for each set of SETS
 
@@ -53,11 +53,9 @@ def read(text: str) -> list[dict[str, str]]:
     return [dict(zip(head, row, strict=True)) for row in rows]
 
 
-def kept_back(rows: list[dict[str, str]], weights: str | None, columns: list[str] | None) -> str:
-    """Return the rows with these weights, and these of their columns, as a Markdown table."""
-    chosen = [name for name in rows[0] if columns is None or name in ("set", "weights", "mode", *columns)]
-    if weights is not None:
-        chosen.remove("weights")
+def kept_back(rows: list[dict[str, str]], weights: str | None) -> str:
+    """Return the rows with these weights as a Markdown table."""
+    chosen = [name for name in rows[0] if weights is None or name != "weights"]
     return table(chosen, [[row[name] for name in chosen] for row in rows if weights in (None, row["weights"])])
 
 
@@ -101,7 +99,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("file", type=Path)
     parser.add_argument("--weights", choices=("default", "free"))
-    parser.add_argument("--columns", type=lambda text: text.split(";"))
     parser.add_argument("--brief", action="store_true", help="one line for each set of SETS")
     parser.add_argument("--beside", metavar="SUITE", help="a suite of single frames and joint calibrations")
     parser.add_argument("--results", default="benchmarks/results")
@@ -110,7 +107,7 @@ def main() -> None:
     if given.brief:
         print(by_set(rows, given.weights or "free"))
     elif given.beside is None:
-        print(kept_back(rows, given.weights, given.columns))
+        print(kept_back(rows, given.weights))
     else:
         lines = read_lines(find_suite(given.beside, Registry.load()), Rows(given.results))
         print(beside(rows, given.weights or "free", lines))

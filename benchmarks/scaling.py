@@ -1,27 +1,23 @@
-"""Measure rows per minute by workers, and predict the bottleneck at 1,000 workers and a million rows.
+"""Measure rows per minute by workers.
 
-    python benchmarks/scaling.py measure [--workers 1 2 4] [--rows 200] [--keep FILE]     # this machine
-    python benchmarks/scaling.py plan FILE [--rows 1000000]                               # a simulated scheduler
+    python benchmarks/scaling.py measure [--workers 1 2 4] [--rows 200]
 
 `measure` runs a study of single synthetic frames from many initial guesses (features are extracted before, so that rows
 are calibrations alone) with N processes, and with N local dask workers where dask is installed, each into a folder of
 its own. Printed are rows a minute, and the processor time of the process that distributes the rows for each of them:
-planning, sending it to a worker, receiving and writing it, and polling. `plan` takes these times: one scheduler serves
-every row twice, before and after a worker computes it in one of the measured times of rows, in the order of arrival. It
-prints rows a minute and the load of the scheduler against the number of workers, and the other needs of a million rows:
-bytes on disk, and bytes of features that workers read.
+planning, sending it to a worker, receiving and writing it, and polling. They are compared with a simulated scheduler,
+which serves every row twice, before and after a worker computes it in one of the measured times, in order of arrival.
 """
 
 from __future__ import annotations
 
 import argparse
 import heapq
-import json
 import statistics
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -41,10 +37,6 @@ matcher = "ogm"
 solver = "lm"
 init = "search"
 """
-LINK_BYTES_PER_S = 1.25e9
-"""A file server on a link of ten gigabit a second, which `plan` assumes for features and rows."""
-_SETTLED = 200_000
-"""Number of simulated rows: the rate is constant after a few thousand."""
 
 
 @dataclass(frozen=True)
@@ -174,44 +166,14 @@ def measured(costs: Costs) -> str:
     )
 
 
-def plan(costs: Costs, rows: int) -> str:
-    """Return the prediction of the simulated scheduler for N rows, and their other needs."""
-    parts = []
-    head = ("workers", "rows a minute", "scheduler busy", "workers busy", "the rows take", "bytes of features a second")
-    for backend, served_s in costs.served_s.items():
-        lines = []
-        for workers in (1, 2, 10, 100, 300, 1000, 3000):
-            outcome = simulated(min(rows, _SETTLED), workers, costs.row_s, served_s)
-            rate = outcome.rows_a_minute
-            read = rate / 60 * costs.feature_bytes
-            busy = (f"{outcome.scheduler_busy:.0%}", f"{outcome.workers_busy:.0%}")
-            link = f"{read:.1e} ({read / LINK_BYTES_PER_S:.1%} of ten gigabit)"
-            lines.append((workers, f"{rate:.0f}", *busy, f"{rows / rate / 60:.1f} h", link))
-        parts.append(f"{backend}: {1e3 * served_s:.2f} ms of the scheduler for each row\n\n{table(head, lines)}")
-    return "\n\n".join([*parts, f"{rows} rows: {rows * costs.row_bytes / 1e9:.1f} GB on disk"])
-
-
 def main() -> None:
-    """Measure, or plan."""
+    """Measure."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    commands = parser.add_subparsers(dest="command", required=True)
-    measuring = commands.add_parser("measure")
-    measuring.add_argument("--workers", type=int, nargs="+", default=[1, 2, 4])
-    measuring.add_argument("--rows", type=int, default=200)
-    measuring.add_argument("--keep", type=Path)
-    planning = commands.add_parser("plan")
-    planning.add_argument("file", type=Path)
-    planning.add_argument("--rows", type=int, default=1_000_000)
+    parser.add_argument("command", choices=["measure"])
+    parser.add_argument("--workers", type=int, nargs="+", default=[1, 2, 4])
+    parser.add_argument("--rows", type=int, default=200)
     options = parser.parse_args()
-    if options.command == "measure":
-        costs = measure(options.workers, options.rows)
-        if options.keep is not None:
-            options.keep.write_text(json.dumps(asdict(costs)))
-        print(measured(costs))
-        return
-    values = json.loads(options.file.read_text())
-    costs = Costs(**{**values, "speeds": tuple(Speed(**each) for each in values["speeds"])})
-    print(plan(costs, options.rows))
+    print(measured(measure(options.workers, options.rows)))
 
 
 if __name__ == "__main__":

@@ -86,6 +86,17 @@ def _numpy_error_state() -> Iterator[None]:
 
 
 @pytest.fixture
+def one_torch_thread() -> Iterator[None]:
+    """Compute with one thread of PyTorch."""
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture
 def plain_environment(monkeypatch: pytest.MonkeyPatch) -> None:
     """Remove the variables that choose plugins and weights, or let errors of plugins raise."""
     for name in ("P2O_PLUGINS", "P2O_DEBUG", "P2O_STRICT", "P2O_WEIGHTS"):

@@ -18,6 +18,7 @@ from p2o.frames.direction import Direction, pose_direction
 from p2o.results.check import CheckStatus
 
 DATA = "synthetic:?right=false&scenes=1&frames_per_scene=2&period_s=1.5&seed=3&width_px=800&height_px=300"
+CHECK = ["check", DATA, "--extractor", "depth/rings"]
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +62,7 @@ def test_an_extrinsic_in_a_file_that_slipped_is_off(
 ) -> None:
     wrong = se3.exp(np.array([0.0, np.radians(1.5), 0.0, 0.0, 0.0, 0.0])) @ truth
     for content in (wrong.tolist(), {"lidar_from_camera": se3.inverse(wrong).tolist()}):
-        assert main(["check", DATA, "--extrinsic", written(tmp_path, content)]) == 1
+        assert main([*CHECK, "--extrinsic", written(tmp_path, content)]) == 1
         said = capsys.readouterr().out
         assert "yaw        off" in said
         assert "yaw +1.5" in said or "yaw +1.4" in said
@@ -73,7 +74,7 @@ def test_the_page_shows_the_lines_and_columns_of_the_output(
     page = (Path(__file__).parents[1] / "docs/how-to/check-an-extrinsic.md").read_text(encoding="utf-8")
     sample = page.partition("```text\n")[2].partition("```")[0]
     wrong = se3.exp(np.array([0.0, np.radians(1.0), 0.0, 0.0, 0.0, 0.0])) @ truth
-    main(["check", DATA, "--extrinsic", written(tmp_path, wrong.tolist())])
+    main([*CHECK, "--extrinsic", written(tmp_path, wrong.tolist())])
 
     def labels(text: str) -> list[list[str]]:
         """Return the words of each line, without numbers and without which axes are off."""
@@ -104,7 +105,7 @@ def test_check_and_watch_take_the_same_words_name_each_frame_and_refuse_unknown_
 
 
 def test_an_answer_that_is_asked_for_and_cannot_be_given_is_status_1(capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["check", DATA, "--extrinsic", "truth", "--frames", "0", "--notice", "0.001deg 0.1mm"]
+    words = [*CHECK, "--extrinsic", "truth", "--frames", "0", "--notice", "0.001deg 0.1mm"]
     assert main(words) == 0
     assert "cannot tell" in capsys.readouterr().out
     assert main([*words, "--require"]) == 1
@@ -139,7 +140,7 @@ def test_wrong_words_are_told_in_one_line(
     words: list[str], told: str, refused: Callable[..., str], tmp_path: Path
 ) -> None:
     no_pose = written(tmp_path, {"camera_from_lidar": [1, 2]})
-    assert told in refused(["check", DATA, *(word.format(extrinsic=no_pose) for word in words)])
+    assert told in refused([*CHECK, *(word.format(extrinsic=no_pose) for word in words)])
 
 
 @pytest.mark.system

@@ -18,7 +18,7 @@ from p2o_testing import CHECKS, Case, CheckFailed, NotApplicable, checks_for, co
 from tests.broken_methods import BROKEN, REGISTRY
 from tests.rendered_frames import all_rendered
 
-SMALL = {"synthetic": {"width_px": 310, "height_px": 94}}
+SMALL = {"synthetic": {"width_px": 310, "height_px": 94, "lidar": "vlp-16"}}
 
 
 SOLVED = "the_example_is_solved"

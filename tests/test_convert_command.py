@@ -27,7 +27,13 @@ def _file(folder: Path, name: str, calibration: Calibration | None = None) -> Pa
     return path
 
 
-@pytest.mark.parametrize(("source", "target"), itertools.product(WRITTEN, WRITTEN))
+KINDS = {(form.holds, form.needs): name for name, form in WRITTEN.items()}
+"""One form for each combination of what forms have room for and need."""
+
+
+@pytest.mark.parametrize(
+    ("source", "target"), sorted({*itertools.product(WRITTEN, KINDS.values()), *itertools.product(["koide"], WRITTEN)})
+)
 def test_any_form_becomes_any_other_that_has_room(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], source: str, target: str
 ) -> None:

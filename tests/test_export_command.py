@@ -18,7 +18,8 @@ from p2o_study.keys import method_content
 pytestmark = pytest.mark.usefixtures("plain_environment")
 PLUGIN = Path(__file__).with_name("stage_plugin.py")
 DOUBTFUL = ["--plugin", str(PLUGIN), "--calibrator", "spy", "--perturb", "2deg 0.1m", "--witness", "none"]
-TRUSTED = ["run", "--data", "synthetic:?scenes=1", "--extractor", "depth/rings", "--perturb", "2deg 0.15m"]
+SMALL = "synthetic:?scenes=1&right=false&width_px=414&height_px=125"
+TRUSTED = ["run", "--data", "synthetic:?scenes=1&right=false", "--extractor", "depth/rings", "--perturb", "2deg 0.15m"]
 FREE = "free: Apache-2.0; encoder initialised with weights under Apache-2.0, trained on ImageNet"
 RESEARCH_ONLY = "kitti: CC-BY-NC-SA-3.0"
 
@@ -106,7 +107,7 @@ def test_json_output_lists_the_exports_of_all_frames(tmp_path: Path, capsys: pyt
 def test_a_result_names_the_licence_of_its_weights(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    words = ["run", "--data", "synthetic:?scenes=1", "--perturb", "1deg 0.05m", "--out", str(tmp_path / "out")]
+    words = ["run", "--data", SMALL, "--perturb", "1deg 0.05m", "--out", str(tmp_path / "out")]
     assert main(words) == 0
     assert "  weights   free: Apache-2.0" in capsys.readouterr().out
     assert "free: Apache-2.0" in (tmp_path / "out/result.html").read_text()

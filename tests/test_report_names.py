@@ -45,9 +45,24 @@ def hostile_store(folder: Path, names: Sequence[str] = HOSTILE) -> Path:
 
 @pytest.fixture(scope="module")
 def hostile(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, tuple[Path, ...]]:
-    """Return a folder with nothing but a store in it, and the files of its report."""
+    """Return a folder with nothing but a store in it, and the files of its report, whose figures are empty."""
     folder = hostile_store(tmp_path_factory.mktemp("outer") / "inner" / "folder")
-    return folder, tuple(write_report(folder))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("p2o.page.figure.drawn", lambda figure: None)
+        patch.setattr("p2o.page.figure.figure_files", lambda figure: {"png": b"", "svg": b"", "pdf": b""})
+        return folder, tuple(write_report(folder))
+
+
+def test_figures_are_drawn_whatever_rows_sections_and_data_sets_are_called(tmp_path: Path) -> None:
+    runs = [
+        run_of(name, f"{name}{frame}", 0, 1.0 + frame, 0.1, section=HOSTILE[4], dataset=HOSTILE[3])
+        for name in HOSTILE
+        for frame in range(2)
+    ]
+    files = write_report(write_store(tmp_path, runs))
+    figures = [file for file in files if file.suffix in (".png", ".svg", ".pdf")]
+    assert len(figures) == 9
+    assert all(file.stat().st_size > 1000 for file in figures)
 
 
 def test_every_file_of_a_report_lies_in_its_folder_whatever_studies_are_called(

@@ -14,7 +14,7 @@ from p2o.host.registry import Registry
 from p2o.run.pipeline import Pipeline
 from p2o.run.recipe import Recipe
 
-DATA = "synthetic:?scenes=4&seed=58&right=false&width_px=828&height_px=250"
+DATA = "synthetic:?scenes=4&seed=9&place=street&right=false&width_px=512&height_px=156"
 
 
 @pytest.fixture(scope="module")

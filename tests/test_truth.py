@@ -37,7 +37,7 @@ from .p2o_datasets.kitti_files import (
 @cache
 def frame() -> Frame:
     dataset = Registry.load().find(Kind.DATASET, "synthetic").method
-    return dataset.build(dataset.options(scenes=1, seed=3, width_px=621, height_px=188))[0]
+    return dataset.build(dataset.options(scenes=1, seed=3, width_px=414, height_px=125))[0]
 
 
 @cache

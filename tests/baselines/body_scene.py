@@ -38,7 +38,7 @@ def meets_box(start: Float, way: Float, sensor_from_box: Float, size_m: Float) -
     return np.where((far < leave) & (far > 0), far, np.inf), enter.argmax(axis=1)
 
 
-_PLACES = [(k / 8 - 7 / 16, (3 * k % 8) / 8 - 7 / 16) for k in range(8)]
+_PLACES = [(k / 4 - 3 / 8, (3 * k % 4) / 4 - 3 / 8) for k in range(4)]
 
 
 @cache
@@ -48,7 +48,7 @@ def _rays(camera: Camera) -> list[Float]:
 
 
 def picture(camera: Camera, things: list[Float], target: Sphere | Box, noise: float = 0.0) -> Image:
-    """Return a picture of bodies before grey, eight rays a pixel, in sRGB.
+    """Return a picture of bodies before grey, four rays a pixel, in sRGB.
 
     `things` are the middles (3,) m of balls, or camera_from_box (4, 4), each of its own colour.
     """

@@ -235,12 +235,12 @@ def test_boards_of_a_fisheye_and_a_vlp16_are_found_and_calibrated() -> None:
     board = Checkerboard(5, 7, 0.095, 0.61, 0.85)
     dataset = Recipe.of(data=f"folder:{ACFR}").resolve(Registry.load()).dataset()
     stage = zhou.METHOD.build(zhou.METHOD.options())
-    frames = [replace(dataset[number], targets=(board,)) for number in (0, 3, 9, 14)]
+    frames = [replace(dataset[number], targets=(board,)) for number in (0, 9, 14)]
     prepared = [stage.prepare(each) for each in frames]
     assert all(len(sight.in_image) == 1 and sight.in_sweep for sight in prepared)
     truth = frames[0].camera_from_lidar
     assert truth is not None
     result = stage.solve(prepared, se3.exp(np.array([0.1, -0.1, 0.1, 0.1, 0.1, 0.1])) @ truth)
-    assert result.matches["boards"] == 4
-    # The reference is good to 0.3 deg and 2 cm, four boards to some 0.5 deg and 2 cm: three of both together.
+    assert result.matches["boards"] == 3
+    # The reference is good to 0.3 deg and 2 cm, three boards to some 0.5 deg and 2 cm: three of both together.
     assert_near(result.camera_from_lidar, 1.75, 0.085, truth)

@@ -145,8 +145,10 @@ def test_the_search_comes_from_five_degrees_and_four_decimetres() -> None:
     far[:3, 3] += (0.2, -0.25, 0.2)
     half = np.array([0.12, 0.12, 0.12, 0.5, 0.5, 0.5, 0.2])
     pose, more = searched([exact], far, [np.log(SCALE) + 0.1], np.eye(3), half, seed=0, rounds=15)
-    again, _ = searched([exact], far, [np.log(SCALE) + 0.1], np.eye(3), half, seed=0, rounds=15)
-    np.testing.assert_array_equal(pose, again)
+    once, again = (
+        searched([exact], far, [np.log(SCALE) + 0.1], np.eye(3), half, seed=0, rounds=1)[0] for _ in range(2)
+    )
+    np.testing.assert_array_equal(once, again)
     found = solved([exact], pose, [np.log(SCALE) + 0.1 + more])
     assert np.abs(left_update(found)).max() < 1e-6
 

@@ -21,7 +21,7 @@ TRUTH = p2o.se3.exp(np.array([0.05, -0.08, 0.06, 0.0, 0.0, 0.0])) @ p2o.se3.make
 )
 DRIVE = (
     "synthetic:?place=street&frames_per_scene=5&period_s=0.2&speed_m_s=4&swing_deg=25&tilt_deg=3&sway=0&right=false"
-    "&seed=1"
+    "&seed=1&width_px=828&height_px=250"
 )
 
 

@@ -106,7 +106,7 @@ def test_wrong_steps_do_not_count() -> None:
 def test_the_covariance_covers_the_error(metric: bool) -> None:
     """Squared errors in units of the covariance are 6 on average, whatever deviation the steps were said to have."""
     squares = []
-    for seed in range(40):
+    for seed in range(16):
         made = steps(random_motion(40, seed=seed), metric=metric, turn_rad=2e-3, move_m=0.01, seed=100 + seed)
         made.covariance[:, :3, :3] *= 0.1
         found = solved(made, first_guess(made)[0])

@@ -116,7 +116,7 @@ def test_a_known_delay_is_found_from_a_start_that_is_somewhat_wrong(delay_s: flo
 
 def test_the_deviation_is_that_of_many_drives() -> None:
     off = []
-    for seed in range(12):
+    for seed in range(6):
         found = delay_of([drive(0.05, noise_deg=0.05, seed=seed)], ALONG)
         off.append((found.delay_s - 0.05) / found.sigma_s)
     assert 0.4 < np.sqrt(np.mean(np.square(off))) < 2.0
@@ -186,16 +186,15 @@ def simulated() -> list[p2o.Frame]:
 def test_pictures_and_sweeps_of_different_moments_are_told_apart(simulated: list[p2o.Frame]) -> None:
     """Pictures of even frames with sweeps and poses of odd ones: each was taken 50 ms before its sweep."""
     start = simulated[0].camera_from_lidar
-    for shift, expected_s in ((0, 0.0), (1, -0.05)):
-        frames = [
-            replace(picture, cloud=swept.cloud, lidar_world_from_lidar=swept.lidar_world_from_lidar)
-            for picture, swept in zip(simulated[::2], simulated[shift::2], strict=True)
-        ]
-        calibrator = method()
-        moments = [calibrator.prepare(frame.without_truth()) for frame in frames]
-        result = calibrator.solve(moments, start)
-        found = delay_of([line_time.turns_of(line_time.drives_of(moments)[0], calibrator.options)], start)
-        assert found.delay_s == pytest.approx(expected_s, abs=0.015)
-        assert found.sigma_s < 0.015
-        assert f"{1e3 * abs(found.delay_s):.1f} +-" in result.reason
-        assert any("their sweeps" in text for text in result.warnings)
+    frames = [
+        replace(picture, cloud=swept.cloud, lidar_world_from_lidar=swept.lidar_world_from_lidar)
+        for picture, swept in zip(simulated[::2], simulated[1::2], strict=True)
+    ]
+    calibrator = method()
+    moments = [calibrator.prepare(frame.without_truth()) for frame in frames]
+    result = calibrator.solve(moments, start)
+    found = delay_of([line_time.turns_of(line_time.drives_of(moments)[0], calibrator.options)], start)
+    assert found.delay_s == pytest.approx(-0.05, abs=0.015)
+    assert found.sigma_s < 0.015
+    assert f"{1e3 * abs(found.delay_s):.1f} +-" in result.reason
+    assert any("their sweeps" in text for text in result.warnings)

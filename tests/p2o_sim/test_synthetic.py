@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import subprocess
-import sys
 from collections.abc import Iterator
 from functools import cache, lru_cache
 from itertools import pairwise
@@ -126,33 +123,12 @@ def test_the_same_options_give_the_same_bytes_and_another_seed_or_scene_others()
     assert all(a != b for a, b in zip(first, other_seed, strict=True))
 
 
-def test_another_process_makes_the_same_bytes() -> None:
-    code = (
-        "import hashlib; from p2o_sim.synthetic import SyntheticOptions as O, build;"
-        f"f = build(O(**{SMALL!r}))[0];"
-        "print(hashlib.sha256(f.image.rgb.tobytes() + f.cloud.xyz.tobytes()).hexdigest())"
-    )
-    there = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
-    frame = build(SyntheticOptions(**SMALL))[0]
-    assert there == hashlib.sha256(frame.image.rgb.tobytes() + frame.cloud.xyz.tobytes()).hexdigest()
-
-
 def test_noise_and_camera_leave_the_place_as_it_is() -> None:
     quiet, noisy = (_frame(**{**CLEAN, **STILL, "right": False, "noise_m": noise}) for noise in (0.0, 0.05))
     assert quiet.image.rgb.tobytes() == noisy.image.rgb.tobytes()
     assert np.linalg.norm(quiet.cloud.xyz - noisy.cloud.xyz, axis=1).std() > 0.01
     fisheye = _frame(**{**CLEAN, **STILL, "right": False, "camera": "fisheye"})
     assert fisheye.cloud.xyz.tobytes() == quiet.cloud.xyz.tobytes()
-
-
-def test_a_dwell_lasts_as_long_as_asked_and_is_compensated_exactly() -> None:
-    dwell: dict[str, Any] = {**SMALL, "lidar": "mid-40", "speed_m_s": 3.0, "noise_m": 0.0}
-    short, long = (build(SyntheticOptions(**dwell, sweep_s=sweep_s))[0] for sweep_s in (0.1, 1.0))
-    assert len(long.cloud) > 5 * len(short.cloud)
-    assert np.ptp(long.cloud.time_s) == pytest.approx(1.0, abs=0.02)
-    raw = build(SyntheticOptions(**dwell, sweep_s=1.0, deskew=False))[0]
-    np.testing.assert_array_equal(raw.cloud.untwisted(raw.twist).xyz, long.cloud.xyz)
-    assert np.abs(raw.cloud.xyz - long.cloud.xyz).max() == pytest.approx(3.0 / 2, abs=0.2)
 
 
 def test_frames_of_a_drive_show_one_place_from_a_moving_car() -> None:
@@ -344,35 +320,16 @@ def test_in_a_building_the_rig_is_slow_and_low_unless_told(place: str) -> None:
     assert np.linalg.norm(told.moment.twist[3:]) == pytest.approx(2.0)
 
 
-@pytest.mark.parametrize("weather", ["overcast", "rain", "fog", "night"])
-def test_weather_changes_the_picture_and_neither_the_place_nor_the_truth(weather: str) -> None:
-    clear, other = _frame(weather="clear", **STREET), build(SyntheticOptions(weather=weather, **STREET))[0]
-    assert clear.image.depth_m.tobytes() == other.image.depth_m.tobytes()
-    assert clear.start.tobytes() == other.start.tobytes()
-    for name in ("rgb", "right"):
-        a, b = (getattr(frame.image, name).astype(float) for frame in (clear, other))
-        assert np.abs(a - b).mean() > 8
-    if weather in ("rain", "fog"):
-        assert clear.cloud.xyz.tobytes() != other.cloud.xyz.tobytes()
-    else:
-        assert clear.cloud.xyz.tobytes() == other.cloud.xyz.tobytes()
-
-
-def test_in_a_room_it_does_not_rain() -> None:
-    clear, rain = (build(SyntheticOptions(place="room", weather=name, **SMALL))[0] for name in ("clear", "rain"))
-    assert clear.cloud.xyz.tobytes() == rain.cloud.xyz.tobytes()
-
-
-RANDOM: dict[str, Any] = {"rig": "random-rings", "megapixels": 0.03, "scenes": 3, "place": "anywhere", "weather": "any"}
+RANDOM: dict[str, Any] = {"rig": "random-rings", "megapixels": 0.03, "scenes": 2, "place": "anywhere", "weather": "any"}
 
 
 def test_each_scene_of_random_rigs_has_its_own_one_and_a_start_as_wrong_as_asked() -> None:
     frames = list(build(SyntheticOptions(**RANDOM, start_error="3deg 0.2m")))
-    assert len({frame.camera for frame in frames}) == 3
-    assert len({frame.camera_from_lidar.tobytes() for frame in frames}) == 3
+    assert len({frame.camera for frame in frames}) == 2
+    assert len({frame.camera_from_lidar.tobytes() for frame in frames}) == 2
     off = [se3.inverse(frame.camera_from_lidar) @ frame.start for frame in frames]
-    assert [se3.angle_deg(error) for error in off] == pytest.approx([3.0] * 3, abs=1e-6)
-    assert [se3.distance_m(error) for error in off] == pytest.approx([0.2] * 3, abs=1e-9)
+    assert [se3.angle_deg(error) for error in off] == pytest.approx([3.0] * 2, abs=1e-6)
+    assert [se3.distance_m(error) for error in off] == pytest.approx([0.2] * 2, abs=1e-9)
     assert se3.angle_deg(se3.inverse(off[0]) @ off[1]) > 0.1
     again = build(SyntheticOptions(**RANDOM, start_error="3deg 0.2m"))[1]
     assert again.cloud.xyz.tobytes() == frames[1].cloud.xyz.tobytes()
@@ -419,16 +376,9 @@ def test_frames_of_a_drive_share_the_random_rig_of_their_scene() -> None:
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"boards": 0},
         {"targets": "cube"},
-        {"scenes": 0},
         {"noise_m": -0.1},
-        {"camera": "pinhole2"},
-        {"width_px": 1},
-        {"focal_px": 0},
-        {"lidar_height_m": 0},
         {"weather": "hail"},
-        {"rig": "loose"},
         {"megapixels": 0},
         {"colour": "red"},
         {"place": "moon"},

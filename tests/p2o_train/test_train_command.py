@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import shlex
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,20 +16,10 @@ from p2o.cli import main
 from p2o.errors import PluginError
 from p2o_train.cli.progress import Shown
 
-pytestmark = pytest.mark.usefixtures("plain_environment")
+pytestmark = pytest.mark.usefixtures("plain_environment", "one_torch_thread")
 PLUGIN = ["--plugin", str(Path(__file__).with_name("trainer_plugin.py"))]
 STREETS = "synthetic:?scenes=2&width_px=160&height_px=96&right=false&lidar=vlp-16"
 TINY = {"iterations": 4, "batch": 2, "crop_px": "[64, 96]", "imagenet": "none", "validate_every": 2, "settle": 2}
-
-
-@pytest.fixture(autouse=True)
-def _one_thread() -> Iterator[None]:
-    import torch
-
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 def told(out: Path) -> Any:

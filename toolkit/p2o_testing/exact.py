@@ -12,15 +12,17 @@ from p2o.errors import MethodUnavailable
 from p2o.features.sets import CloudFeatures, ImageFeatures
 from p2o.features.side import Side
 from p2o.features.view import View
+from p2o.frames.frame import Frame
 from p2o.geometry import se3
-from p2o.geometry.pose_error import pose_error
+from p2o.geometry.pose_error import PoseError, pose_error
 from p2o.host.guard import build
 from p2o.host.method import Kind
 from p2o.problems.point_to_line import PointToLine
 from p2o.problems.problem import LeastSquares
+from p2o.run.initial_guess import common_pose
 
 from p2o_testing import stage
-from p2o_testing.subject import NotApplicable, Subject, lacking, require
+from p2o_testing.subject import CheckFailed, NotApplicable, Subject, lacking, require
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,14 +80,25 @@ def around(truth: Float, angle_deg: float, distance_m: float) -> Float:
     return np.asarray(truth @ se3.exp(np.column_stack([np.radians(angle_deg) * unit, distance_m * unit[::-1]])))
 
 
-def require_near(pose: Float, truth: Float, angle_deg: float, distance_m: float) -> None:
-    """Raise CheckFailed unless the error of a pose is within the tolerance."""
+def require_near(pose: Float, truth: Float, angle_deg: float, distance_m: float, where: str = "") -> None:
+    """Raise CheckFailed, with `where` first, unless the error of a pose is within the tolerance."""
     error = pose_error(pose, truth)
-    require(
-        error.rotation_deg <= angle_deg and error.translation_m <= distance_m,
-        f"{error.rotation_deg:.4f} deg and {error.translation_m:.4f} m from the truth, "
-        f"at most {angle_deg:g} deg and {distance_m:g} m are promised",
-    )
+    near = error.rotation_deg <= angle_deg and error.translation_m <= distance_m
+    promised = f"at most {angle_deg:g} deg and {distance_m:g} m are promised"
+    require(near, f"{where}{size_of(error)} from the truth, {promised}")
+
+
+def truth_of(frames: tuple[Frame, ...]) -> Float:
+    """Return the true pose (4, 4) of frames of one rig; raise CheckFailed if it is not known."""
+    truth = common_pose(frames, "camera_from_lidar")
+    if truth is None:
+        raise CheckFailed(f"{frames[0].name} has no truth: the frames of an example must")
+    return truth
+
+
+def size_of(error: PoseError) -> str:
+    """Return an error as text."""
+    return f"{error.rotation_deg:.4f} deg and {error.translation_m:.4f} m"
 
 
 def nearest_m(xyz: Float, others: Float) -> Float:

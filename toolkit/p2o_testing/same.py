@@ -6,8 +6,7 @@ Values are compared as they are, not as JSON: dtypes and types count, and values
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ import numpy as np
 from p2o.arrays import leaves, parts
 from p2o.cache import FeatureCache, why_not_kept
 
-from p2o_testing.subject import require
+from p2o_testing.subject import Subject, require
 
 _PLAIN = (str, bool, int, float, type(None))
 
@@ -73,12 +72,28 @@ class Snapshot:
         return next((name for name, array in self._before.items() if not equal(array, now[name])), "")
 
 
-@contextmanager
-def unchanged(value: Any) -> Iterator[None]:
-    """Raise CheckFailed if an array in `value` changes."""
-    snapshot = Snapshot(value)
-    yield
-    require(not snapshot.written, f"{snapshot.written} was written to")
+@dataclass(frozen=True, eq=False)
+class Call:
+    """A call of a stage: what is `given` to it, its `answer`, and the array of `given` that it wrote to, else empty."""
+
+    given: tuple[Any, ...]
+    answer: Any
+    written: str
+
+    @classmethod
+    def of(cls, subject: Subject, *given: Any) -> Call:
+        """Call a freshly built stage."""
+        snapshot = Snapshot(given)
+        answer = subject.built()(*given)
+        return cls(given, answer, snapshot.written)
+
+    def require_unwritten(self) -> None:
+        """Raise CheckFailed if the stage wrote to an array that was given to it."""
+        require(not self.written, f"array {self.written} of the arguments was written to")
+
+    def require_repeated(self, subject: Subject, what: str) -> None:
+        """Raise CheckFailed unless a freshly built stage gives the same answer."""
+        require_equal(self.answer, subject.built()(*self.given), f"the {what} of the same input differ")
 
 
 def require_kept(value: Any, what: str) -> None:

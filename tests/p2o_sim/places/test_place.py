@@ -20,7 +20,7 @@ def rendered(place: str, seed: int) -> RenderedImage:
     return render(scene, CAMERA, WORLD_FROM_CAMERA)
 
 
-@pytest.mark.parametrize("seed", [*range(2), *(pytest.param(n, marks=pytest.mark.system) for n in (2, 5, 8))])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(n, marks=pytest.mark.system) for n in (2, 5, 8))])
 @pytest.mark.parametrize("place", USUAL)
 def test_every_frame_has_tens_of_hard_edges_in_all_four_directions(place: str, seed: int) -> None:
     _, side = occlusion.edges_from_orders(labels(rendered(place, seed), CAMERA, mask_foliage=True))
@@ -66,7 +66,7 @@ def test_trees_and_streets_show_what_their_names_say() -> None:
 
 @pytest.mark.parametrize("place", INDOORS)
 def test_inside_of_a_building_the_sky_is_seen_through_its_openings_only(place: str) -> None:
-    shown = [rendered(place, seed).classes for seed in range(4)]
+    shown = [rendered(place, seed).classes for seed in range(3)]
     sky = np.array([(classes == Class.SKY).mean() for classes in shown])
     assert sky.max() < 0.12
     assert sky.max() > 0

@@ -71,12 +71,11 @@ def test_a_check_says_what_is_recovered_and_by_which_extractor(hall: Cloud) -> N
     cloud = without_rings(fired(hall, seed=1))
     assert ring_count(cloud, extractors) == "64 rings recovered by `rings` from the firing order of the points"
     assert ring_count(cloud) == "no rings", "without the extractor nothing recovers them"
-    shuffled = cloud.select(np.random.default_rng(0).permutation(len(cloud)))
+    shuffled = cloud.select(np.random.default_rng(0).permutation(len(cloud))[::8])
     assert ring_count(shuffled, extractors) == "no rings"
 
 
-@pytest.mark.parametrize("lidar", ["mid-40", "avia", "mid-360"])
-@pytest.mark.parametrize("sweep_s", [0.1, 0.5])
+@pytest.mark.parametrize(("lidar", "sweep_s"), [("mid-40", 0.1), ("avia", 0.2), ("mid-360", 0.1)])
 def test_patterns_that_do_not_repeat_have_no_rings(lidar: str, sweep_s: float) -> None:
     rosette = open_dataset(f"synthetic:?place=hall&right=false&width_px=64&lidar={lidar}&sweep_s={sweep_s}")[0].cloud
     assert rings_in_firing_order(rosette) is None
@@ -94,7 +93,7 @@ def test_few_points_and_points_on_the_axis_have_no_rings() -> None:
 def test_rings_of_real_sweeps_in_firing_order_are_those_of_the_files(real_data: Path, dropped: float) -> None:
     """KITTI's files are ordered by ring; some ten returns on the seam of two rings have the number of the next."""
     dataset = open_dataset(f"kitti-raw:{real_data / 'kitti_raw'}?right=false")
-    names = json.loads((ROOT / "baselines/p2o_baselines/suites/splits.json").read_text())["drive_0005_later"][::28]
+    names = json.loads((ROOT / "baselines/p2o_baselines/suites/splits.json").read_text())["drive_0005_later"][::56]
     for seed, name in enumerate(names):
         cloud = fired(dataset[dataset.names.index(name)].cloud, dropped=dropped, seed=seed)
         ring = rings_in_firing_order(without_rings(cloud))

@@ -11,7 +11,7 @@ from p2o_plugins.cloud.rings import RingsOptions
 from p2o_plugins.cloud.scattered import scattered
 from scipy.spatial import cKDTree
 
-from tests.plugins.cloud.casting import GROUND, HDL64, Box, Lidar, Plane, Pole
+from tests.plugins.cloud.casting import GROUND, Box, Lidar, Plane, Pole
 
 WALL = Box((20, 0, 0), (0.2, 60, 60))
 # Floats 8 m ahead: y from -0.6 to 1.4, z from -1.0 to 1.0, front at x = 7.9.
@@ -117,15 +117,6 @@ def test_turning_the_cloud_about_the_upright_axis_turns_its_edges_across_the_sea
     still, turned = edges_of(cloud), edges_of(Cloud(cloud.xyz @ turn.T))
     for side in SIDES:
         assert alike(still.xyz[still.side == side], turned.xyz[turned.side == side] @ turn) > 0.9
-
-
-def test_the_order_of_the_points_and_their_rings_change_nothing():
-    cloud = Lidar(HDL64, 0.36).scan(GROUND, Box((9, 2, -1), (4, 1.8, 1.5), 20), Pole(10, -3, 0.15), WALL)
-    wanted = as_rows(edges_of(cloud))
-    assert len(wanted) > 50
-    shuffled = cloud.select(np.random.default_rng(0).permutation(len(cloud)))
-    np.testing.assert_array_equal(as_rows(edges_of(shuffled)), wanted)
-    np.testing.assert_array_equal(as_rows(edges_of(Cloud(cloud.xyz))), wanted)
 
 
 def test_points_given_twice_and_second_returns_change_nothing():

@@ -17,6 +17,8 @@ from p2o_plugins.p2ornet.example import UNKNOWN, Example, example_of
 from p2o_plugins.p2ornet.spans import EAST, SOUTH, Spans
 from p2o_testing import stage
 
+from tests.plugins.p2ornet.bomb import Bomb
+
 TRAIN = "2011_09_26/0009/0000000354"
 
 
@@ -88,20 +90,10 @@ def test_damaged_files_are_refused(tmp_path: Path) -> None:
     refusal(saved(tmp_path, spans=None))
 
 
-class _Bomb:
-    """Runs code when it is unpickled."""
-
-    def __init__(self, trace: Path) -> None:
-        self.trace = trace
-
-    def __reduce__(self) -> Any:
-        return (Path.touch, (self.trace,))
-
-
 @pytest.mark.parametrize("name", ["name", "rgb", "classes", "spans"])
 def test_pickled_objects_are_refused_and_nothing_in_them_runs(name: str, tmp_path: Path) -> None:
     trace = tmp_path / "it-ran"
-    path = saved(tmp_path, **{name: np.array([_Bomb(trace)], dtype=object)})
+    path = saved(tmp_path, **{name: np.array([Bomb(trace)], dtype=object)})
     assert "pickle" in refusal(path)
     assert not trace.exists()
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -26,13 +25,7 @@ from p2o_sim import synthetic
 
 from tests.plugins.p2ornet.stirred_norms import stir
 
-
-@pytest.fixture(autouse=True)
-def _one_thread_of_torch() -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
+pytestmark = pytest.mark.usefixtures("one_torch_thread")
 
 
 def thin(encoder: str, cell: int, connectivity: int) -> Shape:

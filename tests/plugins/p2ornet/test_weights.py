@@ -21,6 +21,8 @@ from p2o_plugins.p2ornet.weights import load_weights, save_weights
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
+from tests.plugins.p2ornet.bomb import Bomb
+
 THIN = Shape("efficientnet-lite0", (4, 4, 4, 4, 4), 2, 4, {"data": "made up", "steps": "7"})
 
 
@@ -89,25 +91,15 @@ def test_missing_and_damaged_files_are_told(saved: Path, tmp_path: Path) -> None
         assert "cannot be read" in refusal(path)
 
 
-class _Bomb:
-    """Runs code when it is unpickled."""
-
-    def __init__(self, trace: Path) -> None:
-        self.trace = trace
-
-    def __reduce__(self) -> Any:
-        return (Path.touch, (self.trace,))
-
-
 def test_pickled_files_are_refused_and_nothing_in_them_runs(tmp_path: Path) -> None:
     trace = tmp_path / "it-ran"
     path = tmp_path / "bomb.safetensors"
-    path.write_bytes(pickle.dumps(_Bomb(trace)))
+    path.write_bytes(pickle.dumps(Bomb(trace)))
     assert "cannot be read" in refusal(path)
-    torch.save({"state": _Bomb(trace)}, path)
+    torch.save({"state": Bomb(trace)}, path)
     assert "cannot be read" in refusal(path)
     assert not trace.exists()
-    pickle.loads(pickle.dumps(_Bomb(trace)))  # noqa: S301  (the bomb is a real one)
+    pickle.loads(pickle.dumps(Bomb(trace)))  # noqa: S301  (the bomb is a real one)
     assert trace.exists()
 
 

@@ -16,9 +16,8 @@ from p2o.host.method import Example, Kind
 from p2o.host.stages import Calibrator
 from p2o.results.result import Result
 from p2o.results.verdict import Trust, Verdict
-from p2o.run.initial_guess import common_pose
 
-from p2o_testing.exact import around
+from p2o_testing.exact import around, require_near, size_of, truth_of
 from p2o_testing.same import Snapshot, difference, require_equal, require_kept
 from p2o_testing.subject import Checks, NotApplicable, Subject, require
 
@@ -27,7 +26,7 @@ CHECKS = Checks(Kind.CALIBRATOR)
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """One calibration from a wrong start, or one a frame where frames are not taken together.
+    """One calibration from a wrong start, with its `error` and that of the start.
 
     `prepared` is what was made of each of the `frames`; `spoiled` names an array of it that was written to while it was
     solved, `written` one of the frames.
@@ -40,27 +39,16 @@ class Trial:
     result: Result
     spoiled: str
     written: str
-
-    @property
-    def start_error(self) -> PoseError:
-        """How wrong the start is."""
-        return pose_error(self.start, self.truth)
-
-    @property
-    def error(self) -> PoseError:
-        """How wrong the result is."""
-        return pose_error(self.result.camera_from_lidar, self.truth)
+    error: PoseError
+    start_error: PoseError
 
 
 def trials(subject: Subject) -> tuple[Trial, ...]:
-    """Return the calibrations of the frames of the method."""
+    """Return the calibrations of the frames of the method: one, or one a frame where they are not taken together."""
     frames = subject.frames
-    groups = [frames] if _joint(subject) else [(frame,) for frame in frames]
+    joint = subject.example is None or subject.example.joint
+    groups = [frames] if joint else [(frame,) for frame in frames]
     return tuple(_trial(subject, group, number) for number, group in enumerate(groups))
-
-
-def _joint(subject: Subject) -> bool:
-    return subject.example is None or subject.example.joint
 
 
 def _within(subject: Subject) -> Perturbation:
@@ -69,9 +57,7 @@ def _within(subject: Subject) -> Perturbation:
 
 
 def _trial(subject: Subject, frames: tuple[Frame, ...], number: int) -> Trial:
-    truth = common_pose(frames, "camera_from_lidar")
-    require(truth is not None, f"{frames[0].name} has no truth: the frames of an example must")
-    assert truth is not None
+    truth = truth_of(frames)
     if subject.example is None:
         start = around(truth, 1.0, 0.05)[0]
     else:
@@ -82,7 +68,8 @@ def _trial(subject: Subject, frames: tuple[Frame, ...], number: int) -> Trial:
     prepared = [stage.prepare(frame) for frame in frames]
     snapshot = Snapshot(prepared)
     result = stage.solve(prepared, start)
-    return Trial(frames, truth, start, prepared, result, snapshot.written, seen.written)
+    errors = (pose_error(pose, truth) for pose in (result.camera_from_lidar, start))
+    return Trial(frames, truth, start, prepared, result, snapshot.written, seen.written, *errors)
 
 
 @CHECKS.of()
@@ -103,13 +90,10 @@ def calibrator_comes_near_the_truth(subject: Subject) -> None:
     """From a wrong start it is solved as near to the truth as its example promises: 0.3 deg and 0.1 m by default."""
     within = _within(subject)
     for trial in subject.once(trials):
-        result, error = trial.result, trial.error
-        require(result.status.solved, f"{trial.frames[0].name}: {result.status.value}: {result.reason}")
-        require(
-            error.rotation_deg <= within.angle_deg and error.translation_m <= within.distance_m,
-            f"{trial.frames[0].name}: {_far(error)} from the truth, from a start {_far(trial.start_error)} away; "
-            f"{within} is promised",
-        )
+        result, name = trial.result, trial.frames[0].name
+        require(result.status.solved, f"{name}: {result.status.value}: {result.reason}")
+        where = f"{name}, from a start {size_of(trial.start_error)} away: "
+        require_near(result.camera_from_lidar, trial.truth, within.angle_deg, within.distance_m, where)
 
 
 @CHECKS.of()
@@ -121,26 +105,18 @@ def what_is_solved_is_no_start(subject: Subject) -> None:
         if not status.solved:
             continue
         same = np.allclose(trial.result.camera_from_lidar, trial.start, atol=1e-9)
-        require(not same, f"it says {status.value} and returns its start, {_far(trial.start_error)} from the truth")
-        require(
-            _wrong(trial.error, within) < _wrong(trial.start_error, within),
-            f"it says {status.value}, {_far(trial.error)} from the truth; the start was {_far(trial.start_error)} away",
-        )
+        far, start_far = size_of(trial.error), size_of(trial.start_error)
+        require(not same, f"it says {status.value} and returns its start, {start_far} from the truth")
+        nearer = _wrong(trial.error, within) < _wrong(trial.start_error, within)
+        require(nearer, f"it says {status.value}, {far} from the truth; the start was {start_far} away")
 
 
-@dataclass(frozen=True, eq=False)
-class Repeat:
-    """The pose of the first trial from a freshly built method without its guard, which removes the ground truth.
+def repeat(subject: Subject) -> tuple[Float, str]:
+    """Return the pose of the first trial from frames with a wrong truth, and what else is prepared of the last frame.
 
-    The frames contain a wrong truth. `difference` names what differs in what was prepared of the last frame.
+    The method is freshly built, without the guard that removes the truth. One repeat serves every check of
+    repeatability: preparing can take long.
     """
-
-    camera_from_lidar: Float
-    difference: str
-
-
-def repeat(subject: Subject) -> Repeat:
-    """Return the repeat of the first calibration. It serves every check of repeatability: preparing can take long."""
     trial = subject.once(trials)[0]
     wrong = around(trial.truth, 7.0, 0.5)[0]
     frames = [replace(frame, camera_from_lidar=wrong) for frame in trial.frames]
@@ -151,7 +127,7 @@ def repeat(subject: Subject) -> Repeat:
         result = stage.solve(prepared, trial.start)
     else:
         other, result = "", stage(frames, trial.start)
-    return Repeat(se3.check_rigid("camera_from_lidar", result.camera_from_lidar), other)
+    return se3.check_rigid("camera_from_lidar", result.camera_from_lidar), other
 
 
 @CHECKS.of()
@@ -159,7 +135,7 @@ def calibrations_repeat(subject: Subject) -> None:
     """The same frames and start give the same pose, bit for bit, also from a freshly built method."""
     trial = subject.once(trials)[0]
     pose = trial.result.camera_from_lidar
-    if not np.array_equal(pose, subject.once(repeat).camera_from_lidar):  # the wrong truth may be the reason
+    if not np.array_equal(pose, subject.once(repeat)[0]):  # the wrong truth may be the reason
         again = subject.built()(trial.frames, trial.start).camera_from_lidar
         require(np.array_equal(pose, again), "the poses of two runs differ")
 
@@ -168,7 +144,7 @@ def calibrations_repeat(subject: Subject) -> None:
 def the_truth_is_not_looked_at(subject: Subject) -> None:
     """A frame that tells a wrong truth gives the same pose as one that tells none."""
     pose = subject.once(trials)[0].result.camera_from_lidar
-    same = np.array_equal(pose, subject.once(repeat).camera_from_lidar)
+    same = np.array_equal(pose, subject.once(repeat)[0])
     require(same, "a wrong truth in the frame changes the pose")
 
 
@@ -185,7 +161,7 @@ def preparations_repeat(subject: Subject) -> None:
     """What is prepared of a frame is the same when it is prepared again, bit for bit, alone and by a new stage."""
     trial = subject.once(trials)[0]
     stage = _preparing(subject)
-    if subject.once(repeat).difference:  # the wrong truth may be the reason
+    if subject.once(repeat)[1]:  # the wrong truth may be the reason
         again = stage.prepare(trial.frames[-1])
         require_equal(trial.prepared[-1], again, "what is prepared of the same frame differs")
 
@@ -212,10 +188,6 @@ def results_have_a_verdict(subject: Subject) -> None:
         require(isinstance(verdict, Verdict), f"the verdict is {type(verdict).__name__}")
         refused = verdict.trust is Trust.REFUSED
         require(refused != status.solved, f"the status is {status.value}, the verdict {verdict.trust.value}")
-
-
-def _far(error: PoseError) -> str:
-    return f"{error.rotation_deg:.3f} deg and {error.translation_m:.3f} m"
 
 
 def _wrong(error: PoseError, within: Perturbation) -> float:

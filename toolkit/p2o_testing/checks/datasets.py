@@ -15,7 +15,7 @@ from p2o.run.fit import FRAME_CONTENT
 
 from p2o_testing import stage
 from p2o_testing.exact import nearest_m
-from p2o_testing.same import Snapshot, require_equal
+from p2o_testing.same import Call, require_equal
 from p2o_testing.subject import CheckFailed, Checks, NotApplicable, Subject, gives, lacking, require
 
 CHECKS = Checks(Kind.DATASET)
@@ -118,16 +118,15 @@ def _frames(subject: Subject) -> list[Frame]:
     return [frame.without_truth() for frame in drive[first:last]]
 
 
-def _reference(frames: list[Frame]) -> int:
-    return [frame.name for frame in frames].index(stage.drive()[_REFERENCE].name)
-
-
-def _join(subject: Subject) -> tuple[Cloud, str]:
-    """Return the joined cloud, and the name of an array of the frames that was written to."""
+def _join(subject: Subject) -> Call:
+    """Return the call of the method on the frames of the drive."""
     frames = _frames(subject)
-    snapshot = Snapshot(frames)
-    cloud: Cloud = subject.built()(frames, _reference(frames))
-    return cloud, snapshot.written
+    return Call.of(subject, frames, [frame.name for frame in frames].index(stage.drive()[_REFERENCE].name))
+
+
+def _joined(subject: Subject) -> Cloud:
+    cloud: Cloud = subject.once(_join).answer
+    return cloud
 
 
 @ACCUMULATORS.of()
@@ -136,7 +135,7 @@ def joined_points_lie_on_surfaces(subject: Subject) -> None:
 
     That is within 5 cm where the poses of the LiDAR are needed, and 15 cm where the method finds out how it moves.
     """
-    cloud, _ = subject.once(_join)
+    cloud = _joined(subject)
     limit_m = 0.05 if "lidar-pose" in subject.needs else 0.15
     off_m = stage.distance_m(se3.apply(stage.stage_from_lidar()[_REFERENCE], cloud.xyz))
     share = float((off_m <= limit_m).mean())
@@ -150,15 +149,14 @@ def joined_points_lie_on_surfaces(subject: Subject) -> None:
 @ACCUMULATORS.of()
 def joined_sweeps_hold_the_frames_own(subject: Subject) -> None:
     """The points of the frame itself are among the joined ones, or within a voxel of 20 cm of one."""
-    cloud, _ = subject.once(_join)
-    missed = float((nearest_m(stage.drive()[_REFERENCE].cloud.xyz, cloud.xyz) > 0.2).mean())
+    missed = float((nearest_m(stage.drive()[_REFERENCE].cloud.xyz, _joined(subject).xyz) > 0.2).mean())
     require(missed <= 0.05, f"{100 * missed:.0f} % of the frame's own points are not in the joined sweep")
 
 
 @ACCUMULATORS.of()
 def joined_sweeps_hold_more(subject: Subject) -> None:
     """Three joined sweeps hold points that the frame's own sweep does not."""
-    cloud, _ = subject.once(_join)
+    cloud = _joined(subject)
     if len(_frames(subject)) == 1:
         raise NotApplicable("its default options join no neighbours")
     more = int((nearest_m(cloud.xyz, stage.drive()[_REFERENCE].cloud.xyz) > 0.02).sum())
@@ -168,16 +166,13 @@ def joined_sweeps_hold_more(subject: Subject) -> None:
 @ACCUMULATORS.of()
 def joined_sweeps_repeat(subject: Subject) -> None:
     """The same frames give the same joined sweep, bit for bit, also from a freshly built stage."""
-    frames = _frames(subject)
-    cloud, _ = subject.once(_join)
-    require_equal(cloud, subject.built()(frames, _reference(frames)), "the joined sweeps of the same frames differ")
+    subject.once(_join).require_repeated(subject, "joined sweeps")
 
 
 @ACCUMULATORS.of()
 def neighbours_are_unchanged(subject: Subject) -> None:
     """Neither the frame nor its neighbours are written to."""
-    _, written = subject.once(_join)
-    require(not written, f"{written} of the frames was written to")
+    subject.once(_join).require_unwritten()
 
 
 @ACCUMULATORS.of()

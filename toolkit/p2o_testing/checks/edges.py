@@ -18,7 +18,7 @@ _image_edges, _cloud_edges = gives("image-edges"), gives("cloud-edges")
 
 
 def _edges(subject: Subject) -> Any:
-    return subject.once(look).features.edges
+    return subject.once(look).answer.edges
 
 
 def _on_the_stage(subject: Subject) -> tuple[Any, Any]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,7 @@ from p2o.geometry import se3
 from p2o.host.method import Kind
 
 from p2o_testing import stage
-from p2o_testing.same import Snapshot, arrays_of, difference, require_equal, require_kept
+from p2o_testing.same import Call, arrays_of, difference, require_equal, require_kept
 from p2o_testing.subject import Checks, NotApplicable, Subject, but, gives, require
 
 CHECKS = Checks(Kind.IMAGE_EXTRACTOR, Kind.CLOUD_EXTRACTOR)
@@ -26,25 +25,15 @@ _EXACT = 1e-9
 """Metres, for places a few tens of metres away: rounding is a thousand times smaller."""
 
 
-@dataclass(frozen=True)
-class Look:
-    """What a method finds in a frame: `features`, and whether it wrote to what it looked at."""
-
-    features: Any
-    written: str
-
-
 def seen(subject: Subject) -> Any:
     """Return the part of a frame that the method looks at."""
     frame = subject.frames[0]
     return frame.image if subject.offer.kind == Kind.IMAGE_EXTRACTOR else frame.cloud
 
 
-def look(subject: Subject) -> Look:
-    """Return what the method finds in its frame."""
-    data = seen(subject)
-    snapshot = Snapshot(data)
-    return Look(subject.built()(data), snapshot.written)
+def look(subject: Subject) -> Call:
+    """Return the call of the method on its frame."""
+    return Call.of(subject, seen(subject))
 
 
 def nothing(subject: Subject) -> Any:
@@ -55,7 +44,7 @@ def nothing(subject: Subject) -> Any:
 
 def _kinds(subject: Subject) -> Iterator[tuple[str, Any]]:
     """Return each kind of feature that was found, with its word; NotApplicable where nothing was found at all."""
-    kinds = [(feature.word, feature) for feature in subject.once(look).features if len(feature)]
+    kinds = [(feature.word, feature) for feature in subject.once(look).answer if len(feature)]
     if not kinds:
         raise NotApplicable("it finds nothing in the frame: name frames in which it does in Method.example")
     yield from kinds
@@ -71,7 +60,7 @@ def features_are_those_that_are_given(subject: Subject) -> None:
     sensor = "image-" if subject.offer.kind == Kind.IMAGE_EXTRACTOR else "cloud-"
     declared = {word for word in subject.gives if word.startswith(sensor)}
     require(declared, f"`gives` names no kind of feature: it must say {sensor}..., as the word of the kind does")
-    more = subject.once(look).features.words - declared
+    more = subject.once(look).answer.words - declared
     require(not more, f"it finds {', '.join(sorted(more))}, of which `gives` does not tell")
 
 
@@ -80,7 +69,7 @@ def features_are_those_that_are_given(subject: Subject) -> None:
 @CLOUDS.of(_cloud_edges, "cloud_edges_repeat")
 def features_repeat(subject: Subject) -> None:
     """The same input gives the same features, bit for bit, also from a freshly built stage."""
-    require_equal(subject.once(look).features, subject.built()(seen(subject)), "the features of the same input differ")
+    subject.once(look).require_repeated(subject, "features")
 
 
 @CHECKS.of(lambda method: method.parallel)
@@ -88,8 +77,8 @@ def calls_at_once_find_the_same(subject: Subject) -> None:
     """A method that says `parallel` finds the same when several threads ask it at once."""
     stage_of, data = subject.built(), seen(subject)
     with ThreadPoolExecutor(2) as pool:
-        for features in pool.map(stage_of, [data] * 4):
-            require_equal(subject.once(look).features, features, "the features of calls at once differ")
+        for features in pool.map(stage_of, [data] * 2):
+            require_equal(subject.once(look).answer, features, "the features of calls at once differ")
 
 
 @CHECKS.of(_of_other_kinds)
@@ -97,15 +86,14 @@ def calls_at_once_find_the_same(subject: Subject) -> None:
 @CLOUDS.of(_cloud_edges, "cloud_input_is_unchanged")
 def extractor_input_is_unchanged(subject: Subject) -> None:
     """The image or sweep is not written to."""
-    written = subject.once(look).written
-    require(not written, f"{written} was written to")
+    subject.once(look).require_unwritten()
 
 
 @CHECKS.of(_of_other_kinds)
 def a_featureless_input_is_no_crash(subject: Subject) -> None:
     """One grey, or the inside of a ball, gives no error, and no more features than the frame."""
     for feature in subject.once(nothing):
-        usual = subject.once(look).features.get(feature.word)
+        usual = subject.once(look).answer.get(feature.word)
         require(len(feature) <= len(usual), f"{len(feature)} {feature.word} where there are none to be found")
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,12 +16,11 @@ from p2o.host.stages import JudgeBase
 from p2o.problems.point_to_line import PointToLine
 from p2o.problems.problem import LeastSquares, Objective
 from p2o.results.verdict import Doubt
-from p2o.run.initial_guess import common_pose
 
 from p2o_testing import stage
-from p2o_testing.exact import around, bare_view, view
-from p2o_testing.same import Snapshot, equal, require_equal, unchanged
-from p2o_testing.subject import Checks, Subject, both, but, gives, needs, require
+from p2o_testing.exact import around, bare_view, require_near, truth_of, view
+from p2o_testing.same import Call, equal, require_equal
+from p2o_testing.subject import CheckFailed, Checks, Subject, both, but, gives, needs, require
 
 CHECKS = Checks(Kind.MATCHER)
 
@@ -35,8 +32,12 @@ def _posed(subject: Subject, *views: View) -> Any:
     return subject.built()(list(views), stage.camera_from_lidar(), _REACH_PX)
 
 
+def _call(subject: Subject) -> Call:
+    return Call.of(subject, [view(subject)], stage.camera_from_lidar(), _REACH_PX)
+
+
 def _problem(subject: Subject) -> Any:
-    return _posed(subject, view(subject))
+    return subject.once(_call).answer
 
 
 _pairs = gives("pairs")
@@ -46,7 +47,7 @@ _residuals = gives("residuals")
 @CHECKS.of()
 def problems_are_what_is_given(subject: Subject) -> None:
     """`gives` names the problem of a matcher: `pairs` a PointToLine, `residuals` a LeastSquares, `objective` a cost."""
-    problem = subject.once(_problem)
+    problem = _problem(subject)
     words = subject.gives & {"pairs", "residuals", "objective"}
     require(len(words) == 1, f"`gives` says {', '.join(sorted(words)) or 'nothing'}, one of the three is wanted")
     if words == {"pairs"}:
@@ -58,7 +59,7 @@ def problems_are_what_is_given(subject: Subject) -> None:
 @CHECKS.of(_pairs)
 def matches_fit_at_the_truth(subject: Subject) -> None:
     """With exact features at the true pose, at least half of the points are matched, with nearly no residual."""
-    problem = subject.once(_problem)
+    problem = _problem(subject)
     share = len(problem) / len(stage.view().cloud_edges)
     require(share >= 0.5, f"only {100 * share:.0f} % of the points are matched")
     residual = float(np.median(np.abs(problem.residuals(stage.camera_from_lidar()))))
@@ -68,7 +69,7 @@ def matches_fit_at_the_truth(subject: Subject) -> None:
 @CHECKS.of(but(_pairs))
 def costs_are_lowest_at_the_truth(subject: Subject) -> None:
     """On the stage the true pose, or one within 0.25 deg and 2 cm of it, costs least: less than all 1 deg away."""
-    truth, problem = stage.camera_from_lidar(), subject.once(_problem)
+    truth, problem = stage.camera_from_lidar(), _problem(subject)
     near = problem.cost(np.concatenate([truth[None], around(truth, 0.1, 0.0), around(truth, 0.25, 0.02)])).min()
     far = problem.cost(np.concatenate([around(truth, 1.0, 0.0), around(truth, 1.0, 0.1)])).min()
     require(near < far, f"the least cost near the truth is {near:.6g}, one degree away it is {far:.6g}")
@@ -77,7 +78,7 @@ def costs_are_lowest_at_the_truth(subject: Subject) -> None:
 @CHECKS.of(both(_pairs, needs("side")))
 def matches_keep_their_side(subject: Subject) -> None:
     """A matcher that needs `side` pairs points with lines across the direction of their side only."""
-    problem = subject.once(_problem)
+    problem = _problem(subject)
     for side, axis in ((Side.LEFT, 0), (Side.RIGHT, 0), (Side.UPPER, 1), (Side.BOTTOM, 1)):
         normals = np.abs(problem.normal[problem.side == side])
         require(not len(normals) or np.median(normals[:, axis]) > 0.7, f"lines of {side.name} points run the wrong way")
@@ -108,7 +109,7 @@ def no_edges_give_no_matches(subject: Subject) -> None:
 def several_views_are_joined(subject: Subject) -> None:
     """Two views with the same features give every residual twice, or a cost with the same order of poses."""
     truth = stage.camera_from_lidar()
-    one, two = subject.once(_problem), _posed(subject, view(subject), view(subject))
+    one, two = _problem(subject), _posed(subject, view(subject), view(subject))
     if isinstance(one, LeastSquares):
         require(len(two) == 2 * len(one), f"{len(one)} matches in one view, {len(two)} in two of them")
         require(set(np.ravel(two.frame).tolist()) <= {0, 1}, "matches do not name the view they are of")
@@ -122,7 +123,7 @@ def several_views_are_joined(subject: Subject) -> None:
 @CHECKS.of()
 def a_bare_view_adds_nothing(subject: Subject) -> None:
     """A view in which nothing was found, beside another one, adds no residuals and leaves the cost finite."""
-    one, two = subject.once(_problem), _posed(subject, view(subject), bare_view(subject))
+    one, two = _problem(subject), _posed(subject, view(subject), bare_view(subject))
     if isinstance(one, LeastSquares):
         require(len(two) == len(one), f"{len(one)} matches, {len(two)} with a bare view beside them")
         require(set(np.ravel(two.frame).tolist()) <= {0}, "matches are said to be of the bare view")
@@ -132,9 +133,9 @@ def a_bare_view_adds_nothing(subject: Subject) -> None:
 @CHECKS.of()
 def matches_repeat(subject: Subject) -> None:
     """The same views give the same problem, also from a freshly built stage; the views are not written to."""
-    given = view(subject)
-    with unchanged(given):
-        first, second = (_posed(subject, given) for _ in range(2))
+    call = subject.once(_call)
+    call.require_unwritten()
+    first, second = call.answer, subject.built()(*call.given)
     if isinstance(first, PointToLine):
         require_equal(first, second, "the problems of the same views differ")
     poses = around(stage.camera_from_lidar(), 0.5, 0.05)
@@ -144,7 +145,7 @@ def matches_repeat(subject: Subject) -> None:
 @CHECKS.of()
 def costs_are_one_a_pose(subject: Subject) -> None:
     """The cost of poses (B, 4, 4) is (B,), finite, and that of each pose for itself, asked twice as well."""
-    problem, poses = subject.once(_problem), around(stage.camera_from_lidar(), 1.0, 0.05)
+    problem, poses = _problem(subject), around(stage.camera_from_lidar(), 1.0, 0.05)
     costs = problem.cost(poses)
     require(np.shape(costs) == (8,), f"the cost of 8 poses has shape {np.shape(costs)}")
     require(np.isfinite(costs).all(), "a cost one degree from the truth is not finite")
@@ -156,7 +157,7 @@ def costs_are_one_a_pose(subject: Subject) -> None:
 @CHECKS.of(but(_residuals))
 def gradients_agree_with_differences(subject: Subject) -> None:
     """Where an objective gives a gradient, differences of its cost point the same way."""
-    problem = subject.once(_problem)
+    problem = _problem(subject)
     if not isinstance(problem, Objective) or problem.gradient is None:
         return
     pose = around(stage.camera_from_lidar(), 0.3, 0.03)[1]
@@ -173,7 +174,7 @@ def gradients_agree_with_differences(subject: Subject) -> None:
 @CHECKS.of(_residuals)
 def residuals_have_their_shape(subject: Subject) -> None:
     """Residuals are (K,) for one pose and (B, K) for several, equal, finite or NaN; weights and frames are (K,)."""
-    problem, poses = subject.once(_problem), around(stage.camera_from_lidar(), 0.5, 0.05)
+    problem, poses = _problem(subject), around(stage.camera_from_lidar(), 0.5, 0.05)
     count = len(problem)
     require(np.shape(problem.weight) == (count,), f"{count} residuals, weights of shape {np.shape(problem.weight)}")
     require(np.shape(problem.frame) == (count,), f"{count} residuals, frames of shape {np.shape(problem.frame)}")
@@ -190,7 +191,7 @@ def residuals_have_their_shape(subject: Subject) -> None:
 @CHECKS.of(_residuals)
 def jacobians_agree_with_differences(subject: Subject) -> None:
     """Derivatives (K, 6) for a left update are those of the residuals, in all but a few rows."""
-    problem, pose = subject.once(_problem), around(stage.camera_from_lidar(), 0.3, 0.03)[1]
+    problem, pose = _problem(subject), around(stage.camera_from_lidar(), 0.3, 0.03)[1]
     with np.errstate(invalid="ignore"):  # where a residual is not finite
         residuals, jacobian = problem.residuals_with_jacobian(pose)
         _, differences = LeastSquares.residuals_with_jacobian(problem, pose)
@@ -208,7 +209,7 @@ def jacobians_agree_with_differences(subject: Subject) -> None:
 @CHECKS.of(_residuals)
 def costs_are_those_of_the_residuals(subject: Subject) -> None:
     """The cost of a least squares is its robust sum: that of `loss` for `residuals`."""
-    problem, poses = subject.once(_problem), around(stage.camera_from_lidar(), 1.0, 0.05)
+    problem, poses = _problem(subject), around(stage.camera_from_lidar(), 1.0, 0.05)
     costs, sums = problem.cost(poses), problem.loss(problem.residuals(poses))
     require(np.allclose(costs, sums, rtol=1e-6), f"a pose costs {costs[0]:.6g}, its residuals sum to {sums[0]:.6g}")
 
@@ -240,14 +241,12 @@ def the_example_is_solved(subject: Subject) -> None:
     )
     within = parse_perturbation(example.within)
     for row in run.rows:
-        result, error = row.result, row.error
+        result = row.result
         name = ", ".join(result.frames)
         require(result.status.solved, f"{name}: {result.status.value}: {result.reason}")
-        require(error is not None, f"{name} has no truth to compare with")
-        assert error is not None
-        near = error.rotation_deg <= within.angle_deg and error.translation_m <= within.distance_m
-        size = f"{error.rotation_deg:.3f} deg and {error.translation_m:.3f} m"
-        require(near, f"{name}: {size} from the truth, within {example.within} is promised")
+        if row.truth is None:
+            raise CheckFailed(f"{name} has no truth to compare with")
+        require_near(result.camera_from_lidar, row.truth, within.angle_deg, within.distance_m, f"{name}: ")
         doubts = {reason.doubt for reason in result.verdict.reasons}
         many = result.agreement is not None and result.agreement.places >= JudgeBase.min_cells
         require(
@@ -261,9 +260,9 @@ INITIALIZERS = Checks(Kind.INITIALIZER)
 @INITIALIZERS.of()
 def starts_are_no_worse(subject: Subject) -> None:
     """On exact features, from 2 deg and 10 cm, one of the proposed starts is no farther from the truth in the image."""
-    given = subject.once(_proposed)
-    shifts = [_shift_px(pose, given.truth) for pose in given.poses]
-    at_start = _shift_px(given.start, given.truth)
+    (_, truth), call = subject.once(_given), subject.once(_proposed)
+    shifts = [_shift_px(pose, truth) for pose in call.answer]
+    at_start = _shift_px(call.given[1], truth)
     require(
         min(shifts) <= 1.05 * at_start + 1e-9,
         f"the best of {len(shifts)} starts is {min(shifts):.1f} px off, the given one {at_start:.1f} px",
@@ -281,29 +280,15 @@ def starts_without_edges_are_no_crash(subject: Subject) -> None:
 @INITIALIZERS.of()
 def starts_repeat(subject: Subject) -> None:
     """The same views and start give the same poses, bit for bit; the views are not written to."""
-    given = subject.once(_proposed)
-    first, second = given.poses, subject.built()(given.views, given.start)
-    require(not given.seen.written, f"{given.seen.written} was written to")
-    require(len(first) == len(second), f"{len(first)} and {len(second)} starts")
-    require(all(map(np.array_equal, first, second)), "the starts of two runs differ")
+    call = subject.once(_proposed)
+    call.require_unwritten()
+    call.require_repeated(subject, "starts")
 
 
-@dataclass(frozen=True, eq=False)
-class _Proposed:
-    """Views with the truth and a start 2 deg and 10 cm away, what is proposed from there, and the views before."""
-
-    views: list[View]
-    truth: Float
-    start: Float
-    poses: Sequence[Float]
-    seen: Snapshot
-
-
-def _proposed(subject: Subject) -> _Proposed:
-    """Return a first proposal, which serves all checks: what motion tells can take long."""
-    views, truth = _given(subject)
-    start, seen = around(truth, 2.0, 0.1)[0], Snapshot(views)
-    return _Proposed(views, truth, start, subject.built()(views, start), seen)
+def _proposed(subject: Subject) -> Call:
+    """Return a first proposal from 2 deg and 10 cm, which serves all checks: initializers by motion can take long."""
+    views, truth = subject.once(_given)
+    return Call.of(subject, views, around(truth, 2.0, 0.1)[0])
 
 
 def _given(subject: Subject) -> tuple[list[View], Float]:
@@ -312,14 +297,12 @@ def _given(subject: Subject) -> tuple[list[View], Float]:
     if not initializer.prepares:
         return [view(subject)], stage.camera_from_lidar()
     frames = subject.frames
-    truth = common_pose(frames, "camera_from_lidar")
-    require(truth is not None, f"{frames[0].name} has no truth: the frames of an example must")
-    assert truth is not None
     features = view(subject)
-    return [
+    views = [
         View(frame.name, frame.camera, features.image, features.cloud, frame.twist, prepared=initializer.prepare(frame))
         for frame in frames
-    ], truth
+    ]
+    return views, truth_of(frames)
 
 
 def _shift_px(pose: Float, truth: Float) -> float:

@@ -11,7 +11,7 @@ from p2o.results.result import SolverStatus
 
 from p2o_testing import stage
 from p2o_testing.exact import around, pairs, planes, require_near
-from p2o_testing.same import unchanged
+from p2o_testing.same import Call
 from p2o_testing.subject import Checks, Subject, but, needs, require
 
 CHECKS = Checks(Kind.SOLVER)
@@ -29,6 +29,11 @@ def _near(subject: Subject) -> tuple[float, float]:
     return (0.02, 0.01) if {"pairs", "residuals"} & subject.needs else (0.1, 0.03)
 
 
+def _solved(subject: Subject) -> Call:
+    """Return the solution of exact pairs from 1 deg and 5 cm, which serves several checks."""
+    return Call.of(subject, _problem(subject), around(stage.camera_from_lidar(), 1.0, 0.05)[0])
+
+
 @CHECKS.of()
 def solver_stays_at_the_truth(subject: Subject) -> None:
     """On exact pairs, a solver that begins at the truth stays there: 0.01 deg and 5 mm."""
@@ -40,35 +45,34 @@ def solver_stays_at_the_truth(subject: Subject) -> None:
 def solver_returns_to_the_truth(subject: Subject) -> None:
     """On exact pairs, a solver returns from 1 deg and 5 cm: to 0.02 deg, 1 cm by residuals, to 0.1 deg, 3 cm else."""
     truth = stage.camera_from_lidar()
-    for start in around(truth, 1.0, 0.05)[:2]:
-        require_near(subject.built()(_problem(subject), start).camera_from_lidar, truth, *_near(subject))
+    other = subject.built()(_problem(subject), around(truth, 1.0, 0.05)[1])
+    for solution in (subject.once(_solved).answer, other):
+        require_near(solution.camera_from_lidar, truth, *_near(subject))
 
 
 @CHECKS.of(but(needs("pairs")))
 def solver_solves_problems_in_metres(subject: Subject) -> None:
     """Distances of points to planes, in metres and without any pixel, are solved as pairs are."""
     truth, problem = stage.camera_from_lidar(), planes()
-    for start in around(truth, 1.0, 0.05)[:2]:
-        given = problem if "residuals" in subject.needs else problem.as_objective()
-        require_near(subject.built()(given, start).camera_from_lidar, truth, *_near(subject))
+    given = problem if "residuals" in subject.needs else problem.as_objective()
+    solution = subject.built()(given, around(truth, 1.0, 0.05)[0])
+    require_near(solution.camera_from_lidar, truth, *_near(subject))
 
 
 @CHECKS.of()
 def solver_never_makes_it_worse(subject: Subject) -> None:
     """The cost at the solution is at most that at the start, and `Solution.cost` is finite."""
-    problem = _problem(subject)
-    for start in around(stage.camera_from_lidar(), 1.5, 0.1)[:2]:
-        solution = subject.built()(problem, start)
-        before, after = problem.cost(np.stack([start, solution.camera_from_lidar]))
-        require(after <= before * (1 + 1e-9) + 1e-9, f"cost rose from {before:.4g} to {after:.4g}")
-        require(np.isfinite(solution.cost), f"Solution.cost is {solution.cost}")
+    problem, start = _problem(subject), around(stage.camera_from_lidar(), 1.5, 0.1)[0]
+    solution = subject.built()(problem, start)
+    before, after = problem.cost(np.stack([start, solution.camera_from_lidar]))
+    require(after <= before * (1 + 1e-9) + 1e-9, f"cost rose from {before:.4g} to {after:.4g}")
+    require(np.isfinite(solution.cost), f"Solution.cost is {solution.cost}")
 
 
 @CHECKS.of()
 def solutions_say_how_they_ended(subject: Subject) -> None:
     """On exact pairs the status is not "singular", and `Solution.cost` is the problem's cost at the solution."""
-    problem, start = _problem(subject), around(stage.camera_from_lidar(), 1.0, 0.05)[0]
-    solution = subject.built()(problem, start)
+    problem, solution = _problem(subject), subject.once(_solved).answer
     singular = solution.status is SolverStatus.SINGULAR
     require(not singular, f"pairs that determine the pose are called singular: {solution.reason}")
     cost = float(problem.cost(solution.camera_from_lidar[None])[0])
@@ -89,7 +93,7 @@ def solver_says_when_nothing_is_determined(subject: Subject) -> None:
 @CHECKS.of()
 def covariance_is_one(subject: Subject) -> None:
     """A covariance is (6, 6), symmetric and has no negative variance."""
-    covariance = subject.built()(_problem(subject), around(stage.camera_from_lidar(), 0.5, 0.02)[0]).covariance
+    covariance = subject.once(_solved).answer.covariance
     if covariance is None:
         return
     require(covariance.shape == (6, 6), f"shape {covariance.shape}")
@@ -100,7 +104,7 @@ def covariance_is_one(subject: Subject) -> None:
 @CHECKS.of()
 def solutions_repeat(subject: Subject) -> None:
     """The same problem and start give the same pose, bit for bit; the problem is not written to."""
-    problem, start = _problem(subject), around(stage.camera_from_lidar(), 1.0, 0.05)[0]
-    with unchanged(problem):
-        poses = [subject.built()(problem, start).camera_from_lidar for _ in range(2)]
-    require(np.array_equal(*poses), "the poses of two runs differ")
+    call = subject.once(_solved)
+    call.require_unwritten()
+    again = subject.built()(*call.given)
+    require(np.array_equal(call.answer.camera_from_lidar, again.camera_from_lidar), "the poses of two runs differ")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import math
 import os
 import platform
 import sys
@@ -108,20 +109,17 @@ def _machine() -> Iterator[_Outcome]:
     yield ("platform", State.OK, platform.platform())
     yield ("cores", State.OK, f"{available_cores()} of {os.cpu_count()}")
     memory_gib = _memory_gib()
-    if memory_gib is None:
-        yield ("memory", State.OK, "unknown on this platform")
-    else:
-        few = memory_gib < _LEAST_MEMORY_GIB
-        advice = f"{_LEAST_MEMORY_GIB:g} GiB or more are recommended" if few else ""
-        yield ("memory", State.BAD if few else State.OK, f"{memory_gib:.1f} GiB", advice)
+    few = memory_gib < _LEAST_MEMORY_GIB
+    detail = f"{memory_gib:.1f} GiB" if math.isfinite(memory_gib) else "unknown on this platform"
+    advice = f"{_LEAST_MEMORY_GIB:g} GiB or more are recommended" if few else ""
+    yield ("memory", State.BAD if few else State.OK, detail, advice)
 
 
-def _memory_gib() -> float | None:
-    """Return the memory of the machine or the limit of the container in GiB, whichever is less."""
-    try:
+def _memory_gib() -> float:
+    """Return the memory of the machine or the limit of the container in GiB, whichever is less; inf if unknown."""
+    size = math.inf
+    with contextlib.suppress(AttributeError, ValueError, OSError):
         size = float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
-    except (AttributeError, ValueError, OSError):
-        return None
     with contextlib.suppress(OSError, ValueError), open("/sys/fs/cgroup/memory.max", encoding="ascii") as file:
         size = min(size, float(file.read()))
     return size / 2**30
@@ -162,15 +160,15 @@ def _version(name: str) -> str | None:
 
 
 def _gpu() -> Iterator[_Outcome]:
-    try:
+    absent = "not looked for without PyTorch"
+    with contextlib.suppress(ModuleNotFoundError):
         import torch
-    except ModuleNotFoundError:
-        yield "GPU", State.ABSENT, "not looked for without PyTorch; not needed for calibrations, useful for trainings"
-        return
-    if torch.cuda.is_available():
-        yield ("GPU", State.OK, torch.cuda.get_device_name())
-    else:
-        yield "GPU", State.ABSENT, "none found by PyTorch; not needed for calibrations, useful for trainings"
+
+        if torch.cuda.is_available():
+            yield ("GPU", State.OK, torch.cuda.get_device_name())
+            return
+        absent = "none found by PyTorch"
+    yield "GPU", State.ABSENT, f"{absent}; not needed for calibrations, useful for trainings"
 
 
 def _cache() -> Iterator[_Outcome]:
@@ -227,8 +225,7 @@ def _calibration() -> Iterator[_Outcome]:
     status, error = row.result.status, row.error
     if error is None or not status.solved:
         raise InputError(f"the calibration of the built-in street was refused: {status.value}", got=row.result.reason)
-    ended = f"error {error.rotation_deg:.2f} deg and {error.translation_m:.3f} m"
     near = error.rotation_deg <= _NEAR_DEG and error.translation_m <= _NEAR_M
     wanted = f"{_NEAR_DEG:g} deg and {_NEAR_M:g} m are expected; report this with the output of p2o methods"
-    text = f"a synthetic street from {_START}: {ended}"
+    text = f"a synthetic street from {_START}: error {error.rotation_deg:.2f} deg and {error.translation_m:.3f} m"
     yield ("calibration", State.OK, text) if near else ("calibration", State.BAD, text, wanted)
