@@ -588,7 +588,7 @@ def test_velocity_and_camera_of_a_frame_are_known_to_whoever_calibrates_its_feat
     """Features alone do not tell them, and an offset in time and groups of frames need them."""
     data = "synthetic:?cameras=front&width_px=160&height_px=64&lidar=vlp-16&right=false&speed_m_s=7"
     source = worker.Source(Plugins(), data, "{}", 0, "scene-0000/front")
-    facts = worker.read(worker.ReadJob(source, tmp_path))
+    facts = worker.read(source, tmp_path)
     assert facts.reason == ""
     assert np.isclose(np.linalg.norm(facts.twist[3:]), 7, atol=0.5)
     assert facts.camera_name == "front"

@@ -41,7 +41,7 @@ from p2o_study.parallel import Workers
 from p2o_study.row import Row
 from p2o_study.statistics import Statistics
 from p2o_study.study import Study, check_study, study_of
-from p2o_study.worker import FrameRecord, Plugins, ReadJob, Source
+from p2o_study.worker import FrameRecord, Plugins, Source
 
 JUDGES = {"edges": "ours", "nid": "nid"}
 """Methods whose cost evaluates poses on other frames, by the name of the judge."""
@@ -375,7 +375,7 @@ def _costs(job: JudgeJob) -> Float:
     pipeline, views = plan.calibrator(), []
     assert isinstance(pipeline, Pipeline)
     for source in job.sources:
-        record = worker.read(ReadJob(source, job.cache))
+        record = worker.read(source, job.cache)
         if record.failure is not None or record.camera is None:
             raise InputError(record.reason, where=record.name)
         parts = [(stage, plan.parts[stage]) for stage in _EXTRACTORS]
