@@ -113,9 +113,9 @@ def without_first(text: str) -> str:
     [
         (without_first, "1 of 15 poses are missing; expected a line for each initial guess of the suite"),
         (lambda t: t + t.splitlines()[1], "poses.csv:17: a second pose for tiny: tiny/000, 1deg 0.05m, seed 0;"),
-        (lambda t: t.replace("tiny/000", "tiny/0000", 1), "poses.csv:2: unknown group 'tiny: tiny/0000'"),
-        (lambda t: t.replace("1deg", "2deg", 1), "poses.csv:2: unknown protocol '2deg 0.05m'"),
-        (lambda t: t.replace(",0,", ",77,", 1), "poses.csv:2: unknown seed; expected one of 0, 1, 2, 3, 4; got 77"),
+        (lambda t: t.replace("tiny/000", "tiny/0000", 1), "poses.csv:2: unknown calibration 'tiny: tiny/0000, 1deg"),
+        (lambda t: t.replace("1deg", "2deg", 1), "poses.csv:2: unknown calibration 'tiny: tiny/000, 2deg 0.05m, 0'"),
+        (lambda t: t.replace(",0,", ",77,", 1), "poses.csv:2: unknown calibration 'tiny: tiny/000, 1deg 0.05m, 77'"),
         (lambda t: re.sub(r"m,0,[^,]*", "m,0,0.9", t, count=1), "poses.csv:2: the quaternion is no rotation"),
         (lambda t: re.sub(r"m,0,[^,]*", "m,0,nan", t, count=1), "poses.csv:2: column qx is not a number"),
         (lambda t: re.sub(r"m,0,[^,]*", "m,0,", t, count=1), "poses.csv:2: column qx is not a number"),
