@@ -156,6 +156,12 @@ def is_outside_95(row: Row) -> bool:
     return not all(covered.get(name, True) for name in BOUNDS[2:])
 
 
+def error_rank(row: Row) -> tuple[float, int]:
+    """Return a sort key of calibrations: the rotation error, then the verdict."""
+    error = -1.0 if row.error is None else row.error.rotation_deg
+    return error, -1 if row.trust is None else list(Trust).index(row.trust)
+
+
 @dataclass(frozen=True)
 class Coverage:
     """The coverage of predicted errors over `count` results with predicted and known errors.

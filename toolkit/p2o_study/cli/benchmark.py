@@ -394,7 +394,8 @@ def table(
     p2o benchmark table smoke --commands
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
     from p2o_study.benchmark.repeat import repeat_text
-    from p2o_study.benchmark.tables import NOTE, Choice
+    from p2o_study.benchmark.tables import Choice
+    from p2o_study.tables import NOTES
 
     tables = bench.tables()(suite)
     if commands:
@@ -406,7 +407,7 @@ def table(
         click.echo(repeat_text(tables.suite.all_rows(), rows))
         return 0
     click.echo(tables.markdown(Choice(section=section, columns=columns or ("all",))))
-    click.echo(NOTE)
+    click.echo("\n".join(NOTES))
     if figures is not None:
         from p2o_study.report import write_figures
         from p2o_study.report.figures import figures_over
@@ -431,12 +432,12 @@ def page(bench: _Bench, out: str, cards: str) -> int:
     p2o benchmark page --out p2o-out/benchmark/page
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
     from p2o_study.benchmark.card import read_cards
-    from p2o_study.benchmark.page import write_page
+    from p2o_study.benchmark.page import INDEX, write_page
 
     registry = bench.plugins.registry()
     tell = (lambda name: None) if bench.quiet else (lambda name: click.echo(f"suite {name}", err=True))
     known = read_cards(Path(cards)).values()
-    written = write_page(
+    shown, left_out = write_page(
         list(bench.opened()),
         bench.rows,
         Path(out),
@@ -444,8 +445,8 @@ def page(bench: _Bench, out: str, cards: str) -> int:
         cards=lambda table: {card.title: card.facts for card in known if card.covers(table)},
         on_suite=tell,
     )
-    left_out = f", {written.left_out} rows left out" if written.left_out else ""
-    click.echo(f"wrote {written.path}: {written.rows} rows, {written.runs} runs{left_out}")
+    left = f", {left_out} rows left out" if left_out else ""
+    click.echo(f"wrote {Path(out) / INDEX}: {len(shown)} rows, {sum(line.count for line in shown)} runs{left}")
     return 0
 
 

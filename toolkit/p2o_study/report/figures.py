@@ -14,7 +14,7 @@ from p2o.page.plot import Axis, Figure, Panel, Series
 
 from p2o_study.curves import Over, curves, frames_of, start_error_of
 from p2o_study.row import NORMS, Row
-from p2o_study.statistics import Statistics
+from p2o_study.statistics import Statistics, error_rank
 from p2o_study.summary import Group, Summary
 from p2o_study.tables import name_of, unit_of
 
@@ -160,16 +160,6 @@ def by_frame(group: Group, metric: str, places: Sequence[str], opens: Opens | No
     return Panel(axis, Axis(names=places), series, opens="runs" if opens else "")
 
 
-def _ranked(group: Group, metric: str) -> Panel:
-    """Return the number of frames with at most an error, the median of their seeds."""
-    series = [
-        replace(one, x=sorted(one.x), y=range(1, len(one.x) + 1), form="line", low=(), high=())
-        for one in by_frame(group, metric, _places(group)).series
-    ]
-    title = f"{name_of(metric)} error [{unit_of(metric)[0]}]: median of the seeds"
-    return Panel(Axis(title, log=True), Axis("frames with at most this error", zero=True), series)
-
-
 def rounds(group: Group) -> list[Panel]:
     """Return matches and residual by round over all runs of a row: medians, with quartiles as bands."""
     known = [(row.label, history) for row in group.measured if (history := convergence_of(row.rows)) is not None]
@@ -185,8 +175,13 @@ def rounds(group: Group) -> list[Panel]:
     return panels if known else []
 
 
-def _places(group: Group) -> list[str]:
-    return list(dict.fromkeys(run.place for row in group.measured for run in row.rows))
+def places_of(group: Group, most: int) -> list[str]:
+    """Return the frames with the largest errors, at most this number, in the order of the runs."""
+    largest: dict[str, float] = {}
+    for run in (run for row in group.measured for run in row.rows):
+        largest[run.place] = max(largest.get(run.place, -1.0), error_rank(run)[0])
+    kept = set(sorted(largest, key=lambda place: -largest[place])[:most])
+    return [place for place in largest if place in kept]
 
 
 # ---- figures in files
@@ -285,10 +280,8 @@ def _rounds_figure(group: Group, _: Summary) -> Figure:
 
 
 def _frames_figure(group: Group, summary: Summary) -> Figure:
-    """Return the errors by frame, many frames as a cumulative curve."""
-    places, norms = _places(group), summary.norms
-    if len(places) > _MOST_NAMES:
-        return Figure("", [_ranked(group, norm) for norm in norms], len(norms), (9.6, 5.0 + 0.16 * len(group.measured)))
+    """Return the errors by frame, of many frames those with the largest ones."""
+    places, norms = places_of(group, _MOST_NAMES), summary.norms
     height = 1.3 + (0.17 + 0.045 * len(group.measured)) * len(places) + 0.16 * len(group.measured)
     return Figure("", [by_frame(group, norm, places) for norm in norms], len(norms), (9.6, height))
 

@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from p2o.arrays import Float, UInt8
 from p2o.cache import FeatureCache, content_hash
@@ -21,8 +21,8 @@ from p2o.run.words import data_by_name, split_data
 
 from p2o_study.damage import Damage, split_options
 from p2o_study.keys import features_key
-from p2o_study.report.worst import error_rank
 from p2o_study.row import Row, frame_digest
+from p2o_study.statistics import error_rank
 from p2o_study.summary import Summary
 from p2o_study.worker import Identity, content_digests
 
@@ -33,11 +33,8 @@ if TYPE_CHECKING:
     from p2o.run.joined import JoinedFrames
 
 
-class Wanted(NamedTuple):
-    """One frame of one run to draw."""
-
-    run: Row
-    frame: str
+Wanted = tuple[Row, str]
+"""One frame of one run to draw."""
 
 
 @dataclass
@@ -47,27 +44,12 @@ class OverlayImages:
     uris: list[str] = field(default_factory=list)
     of: dict[tuple[str, str], tuple[int, int]] = field(default_factory=dict)
 
-    def add(self, wanted: Wanted, before: UInt8, after: UInt8) -> None:
-        """Add the overlays of a run, (H, W, 3) each."""
-        self.of[wanted.run.key, wanted.frame] = (self._number(before), self._number(after))
-
-    def _number(self, image: UInt8) -> int:
-        uri = jpeg_uri(image)
-        # Rows with the same frame, initial guess and extractor share the overlay before.
-        if uri not in self._numbers:
-            self._numbers[uri] = len(self.uris)
-            self.uris.append(uri)
-        return self._numbers[uri]
-
-    _numbers: dict[str, int] = field(default_factory=dict, repr=False)
-
 
 def chosen(summary: Summary, most: int) -> list[Wanted]:
     """Select for each row at most `most` frames, the worst first, each with its worst seed."""
     requests = []
     for group in summary.groups:
         for runs in (measured.rows for measured in group.measured):
-            # The sort is stable: the first is that of `worst_run`.
             worst: dict[str, Row] = {}
             for run in sorted(runs, key=error_rank, reverse=True):
                 if len(worst) >= most:
@@ -76,7 +58,7 @@ def chosen(summary: Summary, most: int) -> list[Wanted]:
                 shown = run.frames[:1] if run.case.rig else run.frames
                 for frame in shown if run.pose is not None else ():
                     worst.setdefault(frame, run)
-            requests += [Wanted(run, frame) for frame, run in list(worst.items())[:most]]
+            requests += [(run, frame) for frame, run in list(worst.items())[:most]]
     return requests
 
 
@@ -95,28 +77,28 @@ def draw_all(
     """
     runs = [run for summary in summaries for run in summary.rows]
     text_of = data_by_name(data, sorted({run.dataset for run in runs}), "the studies")
-    wanted = [w for summary in summaries for w in chosen(summary, most) if w.run.dataset in text_of]
+    wanted = [(run, frame) for one in summaries for run, frame in chosen(one, most) if run.dataset in text_of]
     for name, text in text_of.items():
-        own = [w for w in wanted if w.run.dataset == name]
-        if own:
-            _check_names(own, text, _opened(text, own[0].run, registry).dataset.names)
-    images = OverlayImages()
-    done = 0
-    # Grouped by recipe, then frame, so that each frame is read and its features are extracted once.
+        if own := [(run, frame) for run, frame in wanted if run.dataset == name]:
+            _check_names(own, text, _opened(text, own[0][0], registry).dataset.names)
+    # By recipe, then frame, so that each frame is read and its features are extracted once.
     by_recipe: dict[tuple[str, int], list[Wanted]] = {}
-    for w in wanted:
-        by_recipe.setdefault((w.run.dataset, id(w.run.method)), []).append(w)
-    for own in by_recipe.values():
-        text = text_of[own[0].run.dataset]
-        source = _opened(text, own[0].run, registry)
-        _check_names(own, text, source.dataset.names)
-        for name in dict.fromkeys(w.frame for w in own):
+    for run, frame in wanted:
+        by_recipe.setdefault((run.dataset, id(run.method)), []).append((run, frame))
+    numbers: dict[str, int] = {}
+    images, done = OverlayImages(), 0
+    for (dataset, _), own in by_recipe.items():
+        source = _opened(text_of[dataset], own[0][0], registry)
+        _check_names(own, text_of[dataset], source.dataset.names)
+        for name in dict.fromkeys(frame for _, frame in own):
             tell(name, done, len(wanted))
-            frame = source.frame(name)
-            for w in own:
-                if w.frame == name:
-                    done += 1
-                    images.add(w, *source.drawn(w, frame))
+            read: Frame = source.dataset[source.dataset.names.index(name)]
+            for run in (run for run, frame in own if frame == name):
+                done += 1
+                # Rows with the same frame, initial guess and extractor share the overlay before.
+                before, after = (numbers.setdefault(jpeg_uri(one), len(numbers)) for one in source.drawn(run, read))
+                images.of[run.key, name] = before, after
+    images.uris.extend(numbers)
     return images
 
 
@@ -129,21 +111,17 @@ class _Source:
     assembly: Assembly
     damage: Damage
 
-    def frame(self, name: str) -> Frame:
-        frame: Frame = self.dataset[self.dataset.names.index(name)]
-        return frame
-
-    def drawn(self, wanted: Wanted, frame: Frame) -> tuple[UInt8, UInt8]:
+    def drawn(self, run: Row, frame: Frame) -> tuple[UInt8, UInt8]:
         """Return the overlays at the initial guess and at the estimate of a run.
 
         Raises InputError if the frame differs from that of the run.
         """
-        run, identity = wanted.run, self.identity(self.dataset.names.index(frame.name))
+        identity = self.identity(self.dataset.names.index(frame.name))
         digests = content_digests(frame) if identity is None else identity.content_digests
-        known = next(known for known in run.case.frames if known.name == wanted.frame)
+        known = next(known for known in run.case.frames if known.name == frame.name)
         if known.content != frame_digest(digests, frame.camera_from_lidar):
             hint = "give the data of the study, run the study again, or leave out --data"
-            raise InputError("this frame differs from that of the study", where=wanted.frame, hint=hint)
+            raise InputError("this frame differs from that of the study", where=frame.name, hint=hint)
         assert run.pose is not None
         assert run.start is not None
         return self._at(frame, run.start), self._at(frame, run.pose)
@@ -194,11 +172,11 @@ def _kept(part: Part) -> Any:
 
 
 def _check_names(wanted: Sequence[Wanted], text: str, names: Sequence[str]) -> None:
-    absent = list(dict.fromkeys(w.frame for w in wanted if w.frame not in names))
-    if absent:
-        frames, name = len({w.frame for w in wanted}), wanted[0].run.dataset
+    frames = dict.fromkeys(frame for _, frame in wanted)
+    if absent := [frame for frame in frames if frame not in names]:
+        name = wanted[0][0].dataset
         raise InputError(
-            f"{len(absent)} of {frames} frames of dataset '{name}' are missing from the data",
+            f"{len(absent)} of {len(frames)} frames of dataset '{name}' are missing from the data",
             where=f"--data {text}",
             expected=f"{absent[0]}{', ...' if len(absent) > 1 else ''}",
             got=f"{len(names)} frames such as {names[0]}" if names else "no frames",

@@ -20,9 +20,8 @@ from p2o.results.verdict import Trust
 
 from p2o_study.report import figures
 from p2o_study.report.overlays import OverlayImages
-from p2o_study.report.worst import error_rank, outcome_text, worst_run
-from p2o_study.row import METRICS, Row
-from p2o_study.statistics import Statistic, Statistics, trust_text
+from p2o_study.row import METRICS, NORMS, Row
+from p2o_study.statistics import Statistics, error_rank, trust_text
 from p2o_study.study import Published
 from p2o_study.summary import Group, Summary
 from p2o_study.tables import (
@@ -31,10 +30,9 @@ from p2o_study.tables import (
     RUN_COLUMNS,
     STATISTICS,
     VERDICT,
-    error_cell,
+    Figure,
+    error_figure,
     figures_of,
-    in_unit,
-    leads,
     name_of,
     pair_columns,
     unit_of,
@@ -54,32 +52,19 @@ def row_columns(group: Group, summary: Summary) -> list[Column]:
     """Return the columns of the rows of a group; most are empty for published rows."""
     metrics = [(metric, None) for metric in summary.norms] + [(metric, "by axis") for metric in summary.axes]
     verdict = Column("verdict", text=True, hide=3, of=lambda row: cell(row.trusted, trust_text(row.trust)))
-    verdicts = [verdict] if _have_verdicts(run for row in group.measured for run in row.rows) else []
-    figures = (figure.column for figure in figures_of(group.measured, _NOT_ON_PAGE))
+    figures = [
+        *(error_figure(m, s, 1 + (s == "median"), option) for m, option in metrics for s in STATISTICS),
+        *([Figure(verdict)] if _have_verdicts(run for row in group.measured for run in row.rows) else []),
+        *figures_of(group.measured, _NOT_ON_PAGE),
+    ]
     return [
         Column("row", text=True, hide=0, of=_label),
-        *(
-            Column(
-                f"{name_of(metric)} {statistic}",
-                *unit_of(metric)[::2],
-                hide=1 + (statistic == "median"),
-                option=option,
-                of=partial(_figure, group=group, metric=metric, statistic=statistic),
-            )
-            for metric, option in metrics
-            for statistic in STATISTICS
-        ),
-        *(replace(column, of=partial(_measured, column)) for column in (*verdicts, *figures)),
+        *(replace(one.column, of=partial(one.page_cell, rivals=group.measured)) for one in figures),
         Column("start", text=True, hide=6, of=_starts),
     ]
 
 
 _NOT_ON_PAGE = {"start", "groups", *Trust}
-
-
-def _measured(column: Column, row: Statistics | Published) -> Any:
-    """Return the cell of a measured row, None of a published one."""
-    return None if isinstance(row, Published) or column.of is None else column.of(row)
 
 
 def _label(row: Statistics | Published) -> Any:
@@ -88,13 +73,6 @@ def _label(row: Statistics | Published) -> Any:
 
 def _starts(row: Statistics | Published) -> str:
     return row.start or NONE if isinstance(row, Published) else ", ".join(row.protocols) or NONE
-
-
-def _figure(row: Statistics | Published, group: Group, metric: str, statistic: Statistic) -> Any:
-    """Return the error of a row with its interval; the best ones of the complete rows of a group are bold."""
-    if isinstance(row, Published):
-        return in_unit(row.values.get(metric), metric) if statistic == "mean" else None
-    return error_cell(row, metric, statistic, "strong" if leads(row, group.measured, metric, statistic) else None)
 
 
 def _have_verdicts(runs: Iterable[Row]) -> bool:
@@ -106,7 +84,7 @@ def run_columns(runs: Sequence[Row], images: OverlayImages) -> list[Column]:
     drawn = {key for key, _ in images.of}
     frame, *others = (column for column in RUN_COLUMNS if column is not VERDICT or _have_verdicts(runs))
     return [
-        Column("row", text=True, hide=0, of=lambda run: run.row),
+        _ROW,
         replace(frame, of=lambda run: f"{run.place}{' ▣' * (run.key in drawn)}"),
         *others,
         Column("start", text=True, hide=6, of=lambda run: run.protocol),
@@ -127,16 +105,9 @@ def run_blocks(run: Row, images: OverlayImages, shared: html.Shared) -> Iterator
     evidence = figure_lines(run.figures)
     if evidence:
         yield html.part("Evidence", html.facts(evidence))
-    rows = []
-    for metric in METRICS:
-        unit, factor, digits = unit_of(metric)
-        values = (run.start_error_of(metric), run.error_of(metric))
-        ends = [None if value is None else factor * value for value in values]
-        rows.append([f"{name_of(metric)} [{unit}]", *(html.number_text(end, digits) for end in ends)])
     seconds = [(stage, f"{value:.3g} s") for stage, value in run.seconds.items() if brief(value) is not None]
     counts = [(side, str(count)) for side, count in run.matches.items()]
-    parts = [html.part("Error", html.table(shared.use(_ERRORS), rows))]
-    parts += [html.part("Matches", html.facts(counts))] if counts else []
+    parts = [html.part("Matches", html.facts(counts))] if counts else []
     parts += [html.part("Time", html.facts(seconds))] if seconds else []
     yield html.grid(*parts, least=220)
     poses = []
@@ -162,9 +133,6 @@ def run_blocks(run: Row, images: OverlayImages, shared: html.Shared) -> Iterator
     yield shared.use(html.fold("recipe and versions", html.code(recipe)))
     if run.finished:
         yield html.text(f"finished {run.finished}", "quiet")
-
-
-_ERRORS = html.columns_of([Column("", text=True), Column("start"), Column("end")])
 
 
 def overlays_of(run: Row, images: OverlayImages) -> list[Block]:
@@ -303,46 +271,35 @@ def _group(group: Group, summary: Summary, opened: Opened, images: OverlayImages
 
 
 def _worst(group: Group, numbers: Mapping[int, int], images: OverlayImages) -> Block:
-    """Return the worst run of each row with its outcome in words, and its overlays."""
-    rows, opens, drawn = [], [], []
-    for measured in group.measured:
-        run = worst_run(measured.rows) if measured.rows else None
-        if run is not None and id(run) in numbers:
-            rows.append([measured.label, outcome_text(run), run.trust, f"{run.place}, seed {run.seed}"])
-            opens.append(html.row_of("runs", numbers[id(run)]))
-            drawn += [html.part(measured.label, one) for one in overlays_of(run, images)[:1]]
-    columns = [
-        Column("row", text=True, hide=0),
-        Column("outcome", text=True, hide=0),
-        replace(VERDICT, of=None),
-        Column("frame", text=True, hide=3),
-    ]
+    """Return the worst run of each row with its reasons, and its overlays."""
+    runs = [max(row.rows, key=error_rank) for row in group.measured if row.rows]
+    runs = [run for run in runs if id(run) in numbers]
+    opens = [html.row_of("runs", numbers[id(run)]) for run in runs]
+    drawn = [html.part(run.row, one) for run in runs for one in overlays_of(run, images)[:1]]
     hint = [] if images.uris else [html.text("Overlays need the data: p2o report DIR --data DATASET:PATH", "quiet")]
-    table = html.table(columns, rows, name="worst", opens=opens)
+    table = html.table(_WORST_COLUMNS, runs, name="worst", opens=opens)
     return html.section("The worst run of each row", table, *([html.grid(*drawn)] if drawn else hint))
 
 
+_ROW = Column("row", text=True, hide=0, of=lambda run: run.row)
+_IN_WORST = ("status", "verdict", *map(name_of, NORMS))
+_WORST_COLUMNS = (
+    _ROW,
+    *(column for column in RUN_COLUMNS if column.name in _IN_WORST),
+    Column("reasons", text=True, hide=2, of=lambda run: (run.why if run.solved else run.reason) or None),
+    Column("frame", text=True, hide=3, of=lambda run: f"{run.place}, seed {run.seed}"),
+)
+
+
 def _errors(group: Group, metric: str, numbers: Mapping[int, int]) -> list[Block]:
-    """Return the plots of a metric: of all runs, on a linear or logarithmic axis, and by frame."""
+    """Return the plots of a metric: of all runs, and by frame."""
     note = "All runs: quartiles, whiskers of 1.5 interquartile ranges, single points beyond for the runs below."
-    scales = {}
-    for name, log in (("linear", False), ("logarithmic: sizes without signs", True)):
-        boxes = figures.boxes(group, metric, log=log, opens=numbers)
-        scales[name] = [plot([replace(boxes, note=note)])]
-    first = figures.differ_much(figures.errors_of(row, metric) for row in group.measured)
+    log = figures.differ_much(figures.errors_of(row, metric) for row in group.measured)
+    boxes = replace(figures.boxes(group, metric, log=log, opens=numbers), note=note)
+    places = figures.places_of(group, max(1, _MOST_POINTS // max(1, len(group.measured))))
     note = "Median and range over the seeds by frame. Of many frames, those with the largest errors."
-    frames = replace(figures.by_frame(group, metric, _largest(group), numbers), note=note)
-    return [html.grid(html.choice("scale", scales, first=int(first)), plot([frames]))]
-
-
-def _largest(group: Group) -> list[str]:
-    """Return the frames with the largest errors, in the order of the runs."""
-    largest: dict[str, float] = {}
-    for run in itertools.chain(*(row.rows for row in group.measured)):
-        largest[run.place] = max(largest.get(run.place, -1.0), error_rank(run)[0])
-    most = max(1, _MOST_POINTS // max(1, len(group.measured)))
-    kept = set(sorted(largest, key=lambda place: -largest[place])[:most])
-    return [place for place in largest if place in kept]
+    frames = replace(figures.by_frame(group, metric, places, numbers), note=note)
+    return [html.grid(plot([boxes]), plot([frames]))]
 
 
 def _named(metric: str) -> str:
