@@ -201,9 +201,11 @@ def test_methods_of_known_spread_are_ranked_without_their_truth(bench: Bench) ->
     assert by_name["sharp"].scatter_m < 0.3 * by_name["loose"].scatter_m
     assert by_name["sharp"].figures["guesses_deg"].value == pytest.approx(0, abs=1e-6)
     assert by_name["stuck"].follows == pytest.approx(1, abs=0.02)
-    starts = {(row.dataset, row.seed): row.start.tobytes() for row in done.rows if row.section == "sharp"}
+    starts = {(row.dataset, row.seed): row.case.start.tobytes() for row in done.rows if row.section == "sharp"}
     assert len(set(starts.values())) == 18, "each group begins elsewhere"
-    assert all(row.start.tobytes() == starts[row.dataset, row.seed] for row in done.rows), "the same for all methods"
+    assert all(row.case.start.tobytes() == starts[row.dataset, row.seed] for row in done.rows), (
+        "the same for all methods"
+    )
     _, blind = run(bench, "stuck,loose,sharp", "blind:?frames=12", "blind")
     assert blind.sentence == comparison.sentence
     assert not len(blind.outcomes["sharp"].errors("rotation_deg"))

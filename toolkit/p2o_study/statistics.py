@@ -253,7 +253,7 @@ class Statistics:
     @cached_property
     def protocols(self) -> tuple[str, ...]:
         """The draws of the initial guesses."""
-        return tuple(dict.fromkeys(row.protocol for row in self.rows))
+        return tuple(dict.fromkeys(row.case.protocol for row in self.rows))
 
     @cached_property
     def trust(self) -> Mapping[Trust, int]:

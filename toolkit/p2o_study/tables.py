@@ -397,7 +397,7 @@ def _by_protocol(summary: Summary) -> list[str]:
         return []
     protocol, lines = protocol_of(summary.protocol), []
     for row in (row for group in summary.groups for row in group.measured):
-        known = [(one.pose, one.truth) for one in row.rows if one.truth is not None and one.pose is not None]
+        known = [(one.pose, one.case.truth) for one in row.rows if one.case.truth is not None and one.pose is not None]
         if known:
             estimates, truths = (np.array(poses) for poses in zip(*known, strict=True))
             lines.append(f"{row.label}: {figures_text(protocol, protocol.figures(estimates, truths))}")

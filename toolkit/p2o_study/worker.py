@@ -326,7 +326,7 @@ def _filled(row: Row, result: Result) -> Row:
 
 
 def _result(job: CalibrateJob) -> Result:
-    assert job.row.start is not None
+    assert job.row.case.start is not None
     plugins, cache, took = job.records[0].source.plugins, BestEffortCache(job.cache), []
     plan = plan_of(plugins, job.recipe)
     assembly = Assembly.of(plan.parts, plan.pipeline, built)
@@ -352,8 +352,8 @@ def _result(job: CalibrateJob) -> Result:
         given_pieces = ReadAgain(lambda number: _frame(job.records[number].source), range(len(each)), truth=False)
     else:
         given_pieces = [features(info, records, keys) for info, (records, keys) in zip(infos, each, strict=True)]
-    result = assembly.calibrated(infos, given_pieces, job.row.start)
-    result = with_cost_of_truth(assembly, infos, given_pieces, result, job.row.truth)
+    result = assembly.calibrated(infos, given_pieces, job.row.case.start)
+    result = with_cost_of_truth(assembly, infos, given_pieces, result, job.row.case.truth)
     # For cached features, the time of their extraction counts.
     seconds = {**result.seconds, "extract": sum(took)}
     result = assembly.checked(result, infos, lambda number: pieces(*each[number], WITNESS))
@@ -366,7 +366,7 @@ def _rig_result(job: CalibrateJob) -> Result:
 
     As in `p2o run --rig`, each camera is calibrated alone, then all of them together.
     """
-    start, plan = job.row.start, plan_of(job.records[0].source.plugins, job.recipe)
+    start, plan = job.row.case.start, plan_of(job.records[0].source.plugins, job.recipe)
     assert start is not None
     assembly = Assembly.of(plan.parts, plan.pipeline, built)
     places, frames = {}, {}

@@ -118,7 +118,7 @@ class Line(Statistics):
 
     @property
     def protocol(self) -> str:
-        return self.rows[0].protocol
+        return self.rows[0].case.protocol
 
     @property
     def frames_text(self) -> str:
@@ -274,7 +274,7 @@ def _compared(suite: Suite, results: Rows, cards: Mapping[str, Mapping[str, Card
     known = []
     for line in read_lines(suite, results, only_asked=False).values():
         for protocol in line.protocols:
-            rows = [row for row in line.rows if row.protocol == protocol]
+            rows = [row for row in line.rows if row.case.protocol == protocol]
             method, dataset = rows[-1].method, rows[0].dataset
             label = line.label if method.external else rows[0].row
             sensors = sorted({card["sensor"] for card in cards.get(dataset, {}).values() if card.get("sensor")})

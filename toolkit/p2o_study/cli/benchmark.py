@@ -206,7 +206,8 @@ def _status_text(status: SuiteStatus) -> str:
     lines = [f"{status.suite}: {', '.join(counts) or 'no rows'}"]
     if status.unchecked:
         lines.append(f"  without data (--root DIR or --data), compared by method only: {', '.join(status.unchecked)}")
-    lines += _listed([f"  {state}: {r.row}, {r.place}, {r.protocol}, seed {r.seed}" for r, state in status.outdated])
+    outdated = [(state, row, row.case.protocol) for row, state in status.outdated]
+    lines += _listed([f"  {state}: {row.row}, {row.place}, {start}, seed {row.seed}" for state, row, start in outdated])
     return "\n".join(map(printable, lines))
 
 
@@ -237,7 +238,7 @@ def prune(bench: _Bench, suite: str, dry_run: bool, as_json: bool) -> int:
         removable = [{**row.named(), "finished": row.finished} for row in rows]
         print_json({"suite": file.name, "dry_run": dry_run, "rows": removable, "unused": unused})
         return 0
-    lines = _listed([f"  {row.row}, {row.dataset} {row.place}, {row.protocol}, seed {row.seed}" for row in rows])
+    lines = _listed([f"  {row.row}, {row.dataset} {row.place}, {row.case.protocol}, seed {row.seed}" for row in rows])
     counts = f"{len(rows)} rows" + (f" and {unused} unused frames, cases, methods and environments" if unused else "")
     done = "would be removed" if dry_run else "removed"
     click.echo("\n".join(map(printable, [*lines, f"{file.name}: {counts} {done}; {bench.rows.path(file.name)}"])))

@@ -123,8 +123,8 @@ class _Source:
             hint = "give the data of the study, run the study again, or leave out --data"
             raise InputError("this frame differs from that of the study", where=frame.name, hint=hint)
         assert run.pose is not None
-        assert run.start is not None
-        return self._at(frame, run.start), self._at(frame, run.pose)
+        assert run.case.start is not None
+        return self._at(frame, run.case.start), self._at(frame, run.pose)
 
     def _at(self, frame: Frame, camera_from_lidar: Float) -> UInt8:
         """Draw edges of both sensors at a pose, or the sweep if there are none or an extractor raises."""

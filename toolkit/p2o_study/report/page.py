@@ -87,7 +87,7 @@ def run_columns(runs: Sequence[Row], images: OverlayImages) -> list[Column]:
         _ROW,
         replace(frame, of=lambda run: f"{run.place}{' ▣' * (run.key in drawn)}"),
         *others,
-        Column("start", text=True, hide=6, of=lambda run: run.protocol),
+        Column("start", text=True, hide=6, of=lambda run: run.case.protocol),
         Column("matches", hide=4, of=lambda run: sum(run.matches.values()) or None),
         Column("overlays", text=True, off=True, of=lambda run: "yes" if run.key in drawn else "no"),
     ]
