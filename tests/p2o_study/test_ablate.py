@@ -88,7 +88,7 @@ def test_a_row_is_what_p2o_run_gives_for_the_same_words(bench: Bench) -> None:
     for row in rows[::3]:
         options = {**row.method.options, "data": row.case.options}
         words = {**row.method.words, "options": options, "seed": row.seed, "joint": bool(row.case.joint)}
-        words |= {"data": f"{row.case.data}:", "frames": ",".join(row.frames), "perturb": row.protocol}
+        words |= {"data": f"{row.case.data}:", "frames": ",".join(row.frames), "perturb": row.case.protocol}
         again = p2o.calibrate(registry=registry, **words).rows[0]
         np.testing.assert_allclose(again.result.camera_from_lidar, row.estimate, rtol=0, atol=1e-9)
         # The pipeline cleans its start: a rotation is one to the last bit.
@@ -139,7 +139,7 @@ def test_a_run_that_raises_is_a_row_that_says_why_and_is_tried_again(bench: Benc
     assert "raised ValueError while calibrating; got no such luck" in crashed[0].reason
     assert "in calibrate" in crashed[0].exception
     assert crashed[0].estimate is None
-    assert crashed[0].start is not None
+    assert crashed[0].case.start is not None
     assert len(done.rows) == 6
     assert bench.run(text).computed == 2
 

@@ -229,11 +229,6 @@ class Statistics:
         """Number of calibrations that raised."""
         return sum(row.crashed for row in self.rows)
 
-    @property
-    def refused(self) -> int:
-        """Number of calibrations without an estimate for a reason that the method reports."""
-        return self.count - self.solved - self.crashed
-
     @cached_property
     def failures(self) -> Mapping[str, int]:
         """Number of calibrations without an estimate by status, and of those that are not computed."""

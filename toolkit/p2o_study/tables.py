@@ -128,7 +128,7 @@ class Figure:
             return None
         return row.values.get(self.metric, row.values.get(_PRINTED.get(self.metric, "")))
 
-    def page_cell(self, row: Statistics | Published, rivals: Sequence[Statistics]) -> Any:
+    def page_cell(self, row: Statistics | Published, rivals: Sequence[Statistics] = ()) -> Any:
         """Return the cell of a row on a page; the best of the rivals is bold."""
         if isinstance(row, Published):
             return None if self.metric is None else in_unit(self.published(row), self.metric)

@@ -27,7 +27,7 @@ from p2o_study.row import NORMS, Method
 from p2o_study.rows import Rows
 from p2o_study.statistics import Statistics, error_rank, top_groups
 from p2o_study.study import DatasetTable
-from p2o_study.tables import FIGURES, NOTES, RUN_COLUMNS, error_figure, name_of, unit_of, with_unit
+from p2o_study.tables import ENTRIES, NOTES, RUN_COLUMNS, error_figure, name_of, unit_of, with_unit
 
 INDEX = "index.html"
 MAX_ROWS = 4000
@@ -55,12 +55,11 @@ def line_columns() -> list[Column]:
     for norm in NORMS:
         top = Column(f"{name_of(norm)} group", hide=2, looks={"1": "good"}, of=partial(_top_group, norm=norm))
         columns += [top, error_figure(norm, "mean", 0).column, error_figure(norm, "median", 3).column]
-    figures = {figure.name: figure.column for figure in FIGURES}
     renamed = {"runs": "n", "frames": "distinct frames", "groups": "independent groups"}
     return [
         *columns,
-        *(replace(figures[name], name=renamed.get(name, name)) for name in _FIGURES),
-        replace(figures["time [s]"], name="time", unit="s", hide=3),
+        *(replace(ENTRIES[name].column, name=renamed.get(name, name)) for name in _FIGURES),
+        replace(ENTRIES["time [s]"].column, name="time", unit="s", hide=3),
         Column("suite", off=True, of=lambda line: line.suite),
         Column("data set", off=True, of=lambda line: line.data_title),
         Column("initial error", off=True, of=lambda line: line.protocol),
