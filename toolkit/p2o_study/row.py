@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Annotated, Any
@@ -127,7 +127,8 @@ class Case:
     @property
     def place(self) -> str:
         """The names of the frames as one text: the first, and the number of others."""
-        return place_of(self.names)
+        first, *others = self.names
+        return first + (f" +{len(others)}" if others else "")
 
     @cached_property
     def start_error(self) -> PoseError | None:
@@ -290,12 +291,6 @@ def frame_digest(digests: Mapping[str, str], truth: Float | None) -> str:
     pose = None if truth is None else (np.round(truth, _DECIMALS) + 0.0).tolist()
     content = [*(digests[name] for name in ("image", "sweep", "calibration")), pose]
     return hashlib.sha256(json.dumps(content).encode()).hexdigest()
-
-
-def place_of(names: Iterable[str]) -> str:
-    """Return the names of frames as one text: the first, and the number of others."""
-    first, *others = names
-    return first + (f" +{len(others)}" if others else "")
 
 
 def brief_figures(values: Mapping[str, Value]) -> dict[str, Any]:

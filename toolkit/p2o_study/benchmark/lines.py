@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from p2o_study.benchmark.suite import Suite
 from p2o_study.row import GIVEN, Row
-from p2o_study.rows import Rows
+from p2o_study.rows import Rows, latest
 from p2o_study.statistics import Statistics
 from p2o_study.study import ALL_JOINT, StudyRow
 
@@ -38,7 +38,7 @@ def read_lines(suite: Suite, results: Rows, *, only_asked: bool = True) -> dict[
     rows: dict[Key, list[Row]] = {key_of(row): [] for row in asked}
     draws = {(key_of(row), row.words.get("perturb") or GIVEN, seed) for row in asked for seed in row.seeds}
     label_of = _external_labels(asked)
-    for row in results.latest(suite.name):
+    for row in latest(results.each(suite.name)):
         key = _key(row.section, label_of(row) if row.method.external else row.row, row.dataset)
         if (key, row.case.protocol, row.seed) in draws or row.method.external or not only_asked:
             rows.setdefault(key, []).append(row)

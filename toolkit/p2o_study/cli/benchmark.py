@@ -396,11 +396,12 @@ def table(
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
     from p2o_study.benchmark.repeat import repeat_text
     from p2o_study.benchmark.tables import Choice
+    from p2o_study.rows import latest
     from p2o_study.tables import NOTES
 
     tables = bench.tables()(suite)
     if commands:
-        rows = [row for row in bench.rows.latest(tables.suite.name) if section in (None, row.section)]
+        rows = [row for row in latest(bench.rows.each(tables.suite.name)) if section in (None, row.section)]
         if not rows:
             expected = f"rows of {suite}" + ("" if section is None else f", section {section}")
             hint = "p2o benchmark run measures them; --results names another folder"
