@@ -74,7 +74,7 @@ def test_a_suite_measures_and_states_rigs_and_external_methods_have_no_poses_of_
 ) -> None:
     board.write(study=RIG + ROWS, suite=SUITE)
     rows = board.measured()
-    assert {(row.row, row.case.rig, row.joint, len(row.frames)) for row in rows} == {
+    assert {(row.row, row.case.rig, row.case.joint, len(row.frames)) for row in rows} == {
         ("rig", True, 4, 4),
         ("each", False, 2, 2),
     }

@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 from p2o.page import page as html
 from p2o.page.page import Block, Column, brief, cell
-from p2o.page.plot import plot
+from p2o.page.plot import Panel, plot
 from p2o.page.run_page import ROUND_COLUMNS
 from p2o.results.figures import figure_lines
 from p2o.results.verdict import Trust
 
 from p2o_study.report import figures
 from p2o_study.report.overlays import OverlayImages
-from p2o_study.row import METRICS, NORMS, Row
+from p2o_study.row import NORMS, Row
 from p2o_study.statistics import Statistics, error_rank, trust_text
 from p2o_study.study import Published
 from p2o_study.summary import Group, Summary
@@ -35,16 +35,11 @@ from p2o_study.tables import (
     figures_of,
     name_of,
     pair_columns,
-    unit_of,
 )
 
 _RUN_BYTES = 1_500_000
 """Maximum size of the single runs on the page, as JSON; about 1,000 runs."""
 _MOST_ROWS = 400
-_MOST_POINTS = 2000
-"""Maximum number of points of the plot of errors by frame: rows times frames."""
-
-
 # ---- what the page shows of a row, of a pair of rows and of a run
 
 
@@ -162,7 +157,7 @@ def page(summaries: Sequence[Summary], images: OverlayImages) -> str:
         )
         for summary, own in zip(summaries, chosen, strict=True)
     }
-    notes = [html.text(note, "quiet") for note in (*NOTES, figures.RULE)]
+    notes = [html.text(note, "quiet") for note in NOTES]
     title = summaries[0].title if len(summaries) == 1 else "p2o report"
     return html.page(title, [html.choice("study", studies), html.section("How to read it", *notes)], shared=shared)
 
@@ -217,7 +212,16 @@ def _study(summary: Summary, chosen: Sequence[Opened], images: OverlayImages, ti
         group.heading or f"rows {number}": _group(group, summary, opened, images)
         for number, (group, opened) in enumerate(zip(summary.groups, chosen, strict=True), 1)
     }
-    return [html.section(title, html.text(note, "quiet"), html.choice("rows", groups))]
+    lines = [row for group in summary.groups for row in group.measured]
+    over = figures.figures_over(summary.name, summary.title, lines, summary.norms)
+    plots = [_figure(name, figure.panels) for _, name, figure in over]
+    return [html.section(title, html.text(note, "quiet"), html.choice("rows", groups), *plots)]
+
+
+def _figure(title: str, panels: Sequence[Panel], note: str = "") -> Block:
+    """Return a figure with its explanation."""
+    shown = plot([panel for panel in panels if panel.series])
+    return html.section(title[:1].upper() + title[1:], shown, *([html.text(note, "quiet")] if note else []))
 
 
 def _group(group: Group, summary: Summary, opened: Opened, images: OverlayImages) -> list[Block]:
@@ -236,14 +240,8 @@ def _group(group: Group, summary: Summary, opened: Opened, images: OverlayImages
             ),
         ),
         _worst(group, numbers, images),
-        html.section(
-            "Errors", html.choice("of", {_named(metric): _errors(group, metric, numbers) for metric in METRICS})
-        ),
+        *(_figure(title, figure.panels, note) for _, title, note, figure in figures.group_figures(group, summary)),
     ]
-    panels = figures.rounds(group)
-    if panels:
-        rule = "Median and quartiles over the runs of a row; a run that has ended keeps its last value."
-        blocks.append(html.section("Convergence", plot(panels), html.text(rule, "quiet")))
     if group.comparisons:
         rule = "On the same frames and seeds; negative differences are in favour of the first row."
         blocks.append(
@@ -289,18 +287,3 @@ _WORST_COLUMNS = (
     Column("reasons", text=True, hide=2, of=lambda run: (run.why if run.solved else run.reason) or None),
     Column("frame", text=True, hide=3, of=lambda run: f"{run.place}, seed {run.seed}"),
 )
-
-
-def _errors(group: Group, metric: str, numbers: Mapping[int, int]) -> list[Block]:
-    """Return the plots of a metric: of all runs, and by frame."""
-    note = "All runs: quartiles, whiskers of 1.5 interquartile ranges, single points beyond for the runs below."
-    log = figures.differ_much(figures.errors_of(row, metric) for row in group.measured)
-    boxes = replace(figures.boxes(group, metric, log=log, opens=numbers), note=note)
-    places = figures.places_of(group, max(1, _MOST_POINTS // max(1, len(group.measured))))
-    note = "Median and range over the seeds by frame. Of many frames, those with the largest errors."
-    frames = replace(figures.by_frame(group, metric, places, numbers), note=note)
-    return [html.grid(plot([boxes]), plot([frames]))]
-
-
-def _named(metric: str) -> str:
-    return f"{name_of(metric)} [{unit_of(metric)[0]}]"
