@@ -278,7 +278,7 @@ def test_costs_that_are_not_finite_are_no_figures(tmp_path: Path) -> None:
     run = run_of(
         "a", "f0", 0, 1.0, 0.1, rounds=(first, replace(second, cost=math.inf), replace(second, mean_residual=math.inf))
     )
-    assert convergence_of([run]).residual_px.tolist() == [[18.0]] * 3
+    assert convergence_of([run])[1][1].tolist() == [[18.0]] * 3
     figures = {"judge": "directed-distance", "cost_unit": "px", "cost_initial": math.inf, "cost_result": None}
     html = write_report(write_store(tmp_path, [replace(run, figures=figures)]))[0].read_text()
     assert "inf px at the initial guess, by directed-distance" in html
@@ -291,10 +291,10 @@ def test_a_run_that_has_ended_keeps_its_last_round() -> None:
     """Three runs of 3, 2 and 1 rounds: in the third round the medians are over all three."""
     histories = [[(900, 18.0), (400, 4.0), (300, 1.0)], [(800, 16.0), (500, 3.0)], [(700, 14.0)]]
     runs = [run_of("a", f"f{i}", 0, 1.0, 0.1, rounds=rounds(*h)) for i, h in enumerate(histories)]
-    found = convergence_of(runs)
-    assert found.runs == 3
-    assert found.matches[1].tolist() == [800, 500, 500]
-    assert found.residual_px[1].tolist() == [16, 4, 3]
+    count, (matches, residual_px) = convergence_of(runs)
+    assert count == 3
+    assert matches[1].tolist() == [800, 500, 500]
+    assert residual_px[1].tolist() == [16, 4, 3]
     assert convergence_of([run_of("a", "f", 0, 1.0, 0.1, rounds=rounds())]) is None
 
 

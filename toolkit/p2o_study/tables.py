@@ -373,22 +373,13 @@ def terminal_text(summary: Summary, columns: Sequence[str] = ()) -> str:
         text += aligned(lines)
     published = [row for group in summary.groups for row in group.rows if isinstance(row, Published)]
     sources = [f"{row.label}: {', '.join(filter(None, (row.source, row.start, row.note)))}" for row in published]
-    return "\n".join([*text, *sources, *summary.pooled, *_unmoved(statistics), *_by_protocol(summary)])
+    return "\n".join([*text, *sources, *summary.pooled, *_by_protocol(summary)])
 
 
 def aligned(lines: Sequence[Sequence[str]]) -> list[str]:
     """Return lines of cells as text with aligned columns; a line of one cell is a heading."""
     widths = [max((len(line[i]) for line in lines if len(line) > 1), default=0) for i in range(len(lines[0]))]
     return ["  ".join([line[0].ljust(widths[0]), *map(str.rjust, line[1:], widths[1:])]).rstrip() for line in lines]
-
-
-def _unmoved(rows: Sequence[Statistics]) -> list[str]:
-    """Return a line for each row of the table with results that are the initial guess, without being refused."""
-    return [
-        f"{row.label}: {row.unmoved} of {row.count} results are the initial guess, which the solver did not move"
-        for row in rows
-        if row.unmoved
-    ]
 
 
 def _by_protocol(summary: Summary) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from p2o.arrays import Float
@@ -34,20 +34,11 @@ MUCH = 20.0
 RULE = f"An axis is logarithmic where the median size of one row is over {MUCH:g} times that of another."
 
 
-@dataclass(frozen=True, eq=False)
-class Convergence:
-    """Lower quartile, median and upper quartile (3, rounds) over `runs` runs of matches and of mean residuals in px."""
-
-    runs: int
-    matches: Float
-    residual_px: Float
-
-
-def convergence_of(runs: Iterable[Row]) -> Convergence | None:
-    """Return the convergence of runs; None if no run has rounds of matching and solving.
+def convergence_of(runs: Iterable[Row]) -> tuple[int, Float] | None:
+    """Return how many runs have rounds, and quartiles (2, 3, rounds) of matches and of mean residuals in px.
 
     A run that has ended is continued with the values of its last round; otherwise the last rounds would represent the
-    slowest runs only.
+    slowest runs only. None if no run has rounds of matching and solving.
     """
     # The round of an initializer has no matches.
     solved = [[r for r in run.rounds if math.isfinite(r.mean_residual) and r.matches] for run in runs]
@@ -56,8 +47,7 @@ def convergence_of(runs: Iterable[Row]) -> Convergence | None:
         return None
     last = range(max(map(len, values)))
     quartiles = np.array([np.quantile([v[min(i, len(v) - 1)] for v in values], QUARTILES, axis=0) for i in last])
-    matches, residual_px = np.moveaxis(quartiles, (2, 1), (0, 1))
-    return Convergence(len(values), matches, residual_px)
+    return len(values), np.moveaxis(quartiles, (2, 1), (0, 1))
 
 
 def differ_much(rows: Iterable[Float]) -> bool:
@@ -144,14 +134,14 @@ def by_frame(group: Group, metric: str, places: Sequence[str]) -> Panel:
 
 def rounds(group: Group) -> list[Panel]:
     """Return matches and residual by round over all runs of a row: medians, with quartiles as bands."""
-    known = [(row.label, history) for row in group.measured if (history := convergence_of(row.rows)) is not None]
+    known = [(row.label, *history) for row in group.measured if (history := convergence_of(row.rows)) is not None]
     panels = []
-    for title, name in (("matches", "matches"), ("mean residual [px]", "residual_px")):
-        log = differ_much(getattr(history, name)[1, -1:] for _, history in known)
+    for number, title in enumerate(("matches", "mean residual [px]")):
+        log = differ_much(quartiles[number, 1, -1:] for _, _, quartiles in known)
         series = []
-        for label, history in known:
-            low, middle, high = getattr(history, name).tolist()
-            named, count = f"{label} ({history.runs} runs)", range(1, len(middle) + 1)
+        for label, runs, quartiles in known:
+            low, middle, high = quartiles[number].tolist()
+            named, count = f"{label} ({runs} runs)", range(1, len(middle) + 1)
             series.append(Series(named, count, middle, "line", low=low, high=high, band=True))
         panels.append(Panel(Axis("round", whole=True), Axis(title, log=log, zero=not log), series))
     return panels if known else []
