@@ -153,9 +153,9 @@ def page(summaries: Sequence[Summary], images: OverlayImages) -> str:
     titles = Counter(summary.title for summary in summaries)
     studies = {
         summary.title if titles[summary.title] == 1 else f"{summary.title} ({summary.name})": _study(
-            summary, own, images, summary.title if len(summaries) > 1 else ""
+            summary, chosen, images, summary.title if len(summaries) > 1 else ""
         )
-        for summary, own in zip(summaries, chosen, strict=True)
+        for summary in summaries
     }
     notes = [html.text(note, "quiet") for note in NOTES]
     title = summaries[0].title if len(summaries) == 1 else "p2o report"
@@ -163,7 +163,7 @@ def page(summaries: Sequence[Summary], images: OverlayImages) -> str:
 
 
 Opened = dict[int, dict[str, Any]]
-"""What the runs of a group on the page open, by the id of the run."""
+"""What the runs on the page open, by the id of the run."""
 
 
 def _with_first_rows(summaries: Sequence[Summary]) -> list[Summary]:
@@ -183,34 +183,30 @@ def _with_first_rows(summaries: Sequence[Summary]) -> list[Summary]:
     return [summary for summary in out if summary.groups]
 
 
-def _chosen_runs(summaries: Sequence[Summary], images: OverlayImages, shared: html.Shared) -> list[list[Opened]]:
+def _chosen_runs(summaries: Sequence[Summary], images: OverlayImages, shared: html.Shared) -> Opened:
     """Return the runs on the page: the worst run of each row, then the next worst of each, up to `_RUN_BYTES`."""
-    chosen = [[Opened() for _ in summary.groups] for summary in summaries]
+    chosen, left = Opened(), _RUN_BYTES
     drawn = {key for key, _ in images.of}
     queues = []
-    for own, summary in zip(chosen, summaries, strict=True):
-        for opened, group in zip(own, summary.groups, strict=True):
-            for measured in group.measured:
-                order = sorted(measured.rows, key=error_rank, reverse=True)
-                # The worst run of a row is always its first, those with overlays are next.
-                order[1:] = sorted(order[1:], key=lambda run: run.key not in drawn)
-                queues.append([(opened, run) for run in order])
-    left = _RUN_BYTES
-    for opened, run in (entry for turn in itertools.zip_longest(*queues) for entry in turn if entry is not None):
+    for row in (row for summary in summaries for group in summary.groups for row in group.measured):
+        order = sorted(row.rows, key=error_rank, reverse=True)
+        # The worst run of a row is always its first, those with overlays are next.
+        queues.append([*order[:1], *sorted(order[1:], key=lambda run: run.key not in drawn)])
+    for run in (run for turn in itertools.zip_longest(*queues) for run in turn if run is not None):
         before = shared.size
         detail = html.detail(f"{run.row}, {run.place}, seed {run.seed}", *run_blocks(run, images, shared))
         left -= len(html.plain_json(detail)) + shared.size - before
         if left < 0:
             break
-        opened[id(run)] = detail
+        chosen[id(run)] = detail
     return chosen
 
 
-def _study(summary: Summary, chosen: Sequence[Opened], images: OverlayImages, title: str) -> list[Block]:
+def _study(summary: Summary, opened: Opened, images: OverlayImages, title: str) -> list[Block]:
     note = " ".join([summary.note, *(f"{line}." for line in summary.pooled)]).strip()
     groups = {
         group.heading or f"rows {number}": _group(group, summary, opened, images)
-        for number, (group, opened) in enumerate(zip(summary.groups, chosen, strict=True), 1)
+        for number, group in enumerate(summary.groups, 1)
     }
     lines = [row for group in summary.groups for row in group.measured]
     over = figures.figures_over(summary.name, summary.title, lines, summary.norms)
