@@ -98,6 +98,6 @@ def bits(rows: Sequence[Row]) -> list[tuple[object, ...]]:
     return [
         (r.key, r.row, r.seed, r.frames, r.status, r.reason, repr(r.rounds), r.matches)
         + (json.dumps(r.method.options, sort_keys=True),)
-        + tuple(None if pose is None else tuple(rounded_pose(pose)) for pose in (r.estimate, r.start, r.truth))
+        + tuple(None if p is None else tuple(rounded_pose(p)) for p in (r.estimate, r.case.start, r.case.truth))
         for r in rows
     ]

@@ -73,7 +73,7 @@ ONLY_CHECKED = (
     ),
     (r"--(calibrator|init) matches", "tests/baselines/test_matches.py, with weights that the tests do not install"),
     (r"\b(argoverse2|kitti-360|once|pandaset|waymo):/", "tests/p2o_datasets/test_public_rigs.py, on small files"),
-    (r"^(time )?p2o (ablate (?!--list)|basin|compare)", "minutes to hours"),
+    (r"^(time )?p2o (ablate (?!--list)|compare)", "minutes to hours"),
     (r"^p2o benchmark ", "tests/p2o_study/test_benchmark*.py; it would write to the rows of the repository"),
     (r"^p2o report (out|p2o-out)", "it needs what such a study has left; the tutorial's is reported"),
     (r"^p2o (train|labels) p2ornet", "an hour"),

@@ -1,4 +1,4 @@
-"""The page of a report in a real browser: rows, the worst runs, choices, and what runs and points open."""
+"""The page of a report in a real browser: rows, the worst runs, choices, and what runs open."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_the_page_shows_rows_runs_and_plots(page: Page) -> None:
     published = [*[""] * 3, "published: P2O-Calib, Table 2", "published: Yuan et al. 2020"]
     texts = [name + source for name, source in zip(rows, published, strict=True)]
     page.until_equal(lambda: page.texts("#rows tbody td:first-child"), texts)
-    page.until_equal(lambda: page.count(".plot svg"), 4)
+    page.until_equal(lambda: page.count(".plot svg"), 10)
     page.until_equal(lambda: page.count("#rows tr.published"), 2)
     assert page.count("#rows td.strong")
     assert page.count("#rows tr.published td.strong") == 0, "published figures are never bold"
@@ -104,9 +104,8 @@ def test_the_worst_run_of_each_row_is_there_at_once_with_what_went_wrong(page: P
     assert page.column("worst", "verdict") == ["doubtful", "ambiguous", "trusted"]
     page.sort("runs", "rotation [deg]")
     page.sort("runs", "rotation [deg]")
-    said, worst = page.column("worst", "outcome")[0], page.column("runs", "rotation [deg]")[0]
-    assert said.startswith("The result is worse than the initial guess: error ")
-    assert f"{float(worst):.2f} deg" in said
+    assert page.column("worst", "rotation [deg]")[0] == page.column("runs", "rotation [deg]")[0]
+    assert page.column("worst", "reasons")[0]
     page.click("#worst tbody tr td")
     page.until(lambda: page.text("#detail-title").startswith("ours w/o OGM, "))
 
@@ -125,29 +124,18 @@ def test_a_click_on_a_row_shows_its_runs_and_a_run_leads_to_the_next(page: Page)
     page.sort("runs", "rotation [deg]")
     turns = page.column("runs", "rotation [deg]")
     assert list(map(float, turns)) == sorted(map(float, turns))
+    first = page.column("runs", "frame")[:2]
     opened(page)
-    turn = "#detail-body .grid table tbody tr:nth-child(1) td"
-    page.until_equal(lambda: page.texts(turn)[:3], ["rotation [deg]", "2.000", turns[0]])
+    page.until(lambda: first[0] in page.text("#detail-title"))
     assert not page.find("#previous").is_enabled()
     page.click("#next")
-    page.until_equal(lambda: page.texts(turn)[2:3], [turns[1]])
+    page.until(lambda: first[1] in page.text("#detail-title"))
     assert page.count("#detail-body img") == 0, "there are no data, so no overlays"
 
 
-def test_a_point_opens_the_worst_run_of_its_frame(page: Page) -> None:
-    page.until_equal(lambda: page.count(".plot svg"), 4)
-    page.run(
-        "document.querySelectorAll('.plot')[1].querySelectorAll('.live')[1].dispatchEvent(new MouseEvent('click'))"
-    )
-    page.until(lambda: page.text("#detail-title").startswith("ours w/o OGM, 2011_09_26/drive_0005/0000000001, seed "))
-
-
-def test_groups_metrics_scales_and_axes_can_be_chosen(page: Page) -> None:
-    title = "return document.querySelector('.plot svg > text:nth-last-of-type(2)').textContent"
-    page.choose("#choose-of", "yaw [deg]")
-    page.until_equal(lambda: page.run(title), "yaw [deg]")
-    page.choose("#choose-scale", "logarithmic: sizes without signs")
-    page.until_equal(lambda: page.run(title), "|yaw| [deg]")
+def test_groups_axes_and_studies_can_be_chosen(page: Page) -> None:
+    titles = "return [...document.querySelectorAll('.plot svg > text')].map(one => one.textContent)"
+    page.until(lambda: {"roll [deg]", "x [cm]"} <= set(page.run(titles)))
     page.choose("#choose-rows", "jointly solved frames")
     page.until_equal(lambda: page.text("#runs-count"), "3 of 3 runs")
     page.until_equal(lambda: page.count("#pairs"), 0)
@@ -155,7 +143,4 @@ def test_groups_metrics_scales_and_axes_can_be_chosen(page: Page) -> None:
     page.click("button.columns")
     page.until(lambda: {"roll mean [deg]", "roll median [deg]"} <= set(page.texts("#rows thead th")))
     page.choose("#choose-study", ZOO)
-    selected = "return document.getElementById('choose-scale').selectedOptions[0].textContent"
-    page.until_equal(lambda: page.run(selected), "logarithmic: sizes without signs")  # 1 deg and 30 deg
-    page.choose("#choose-of", "translation [cm]")
-    page.until_equal(lambda: page.run(selected), "linear")  # both rows are 10 cm off
+    page.until(lambda: "|roll| [deg]" in page.run(titles))  # logarithmic: 1 deg and 30 deg

@@ -65,8 +65,8 @@ def test_it_prints_means_and_medians_beside_the_papers_and_refused_frames_count(
     for label in [f"{name}{kind}" for kind in KINDS for name in NAMES]:
         own = [row for row in rows if row.row == label]
         # A refused frame is stored with the pose that it is left with: its start.
-        left_with = [row.estimate if row.solved else row.start for row in own]
-        errors = [pose_error(pose, row.truth).per_axis for pose, row in zip(left_with, own, strict=True)]
+        left_with = [row.estimate if row.solved else row.case.start for row in own]
+        errors = [pose_error(pose, row.case.truth).per_axis for pose, row in zip(left_with, own, strict=True)]
         number = next(i for i, line in enumerate(lines) if line.startswith(f"{label}  "))
         refused = "3" if label.startswith("test3") else "0"
         cells = lines[number].removeprefix(label).split()

@@ -87,12 +87,12 @@ def test_a_row_is_what_p2o_run_gives_for_the_same_words(bench: Bench) -> None:
     assert len(rows) == 12 + 2
     for row in rows[::3]:
         options = {**row.method.options, "data": row.case.options}
-        words = {**row.method.words, "options": options, "seed": row.seed, "joint": bool(row.joint)}
-        words |= {"data": f"{row.case.data}:", "frames": ",".join(row.frames), "perturb": row.protocol}
+        words = {**row.method.words, "options": options, "seed": row.seed, "joint": bool(row.case.joint)}
+        words |= {"data": f"{row.case.data}:", "frames": ",".join(row.frames), "perturb": row.case.protocol}
         again = p2o.calibrate(registry=registry, **words).rows[0]
         np.testing.assert_allclose(again.result.camera_from_lidar, row.estimate, rtol=0, atol=1e-9)
         # The pipeline cleans its start: a rotation is one to the last bit.
-        np.testing.assert_allclose(again.result.start, row.start, atol=1e-9)
+        np.testing.assert_allclose(again.result.start, row.case.start, atol=1e-9)
         assert again.result.status == row.status
         assert again.error.rotation_deg == pytest.approx(row.error_of("rotation_deg"), abs=1e-6)
         assert again.start_error.translation_m == pytest.approx(row.start_error_of("translation_m"), abs=1e-8)
@@ -101,8 +101,8 @@ def test_a_row_is_what_p2o_run_gives_for_the_same_words(bench: Bench) -> None:
 def test_groups_of_frames_are_solved_together_each_from_a_start_of_its_own(bench: Bench) -> None:
     rows = bench.run(QUICK.replace("frames = 3", "frames = 5") + "joint = 2\n").rows
     groups = [("tiny/000", "tiny/001"), ("tiny/002", "tiny/003"), ("tiny/004",)]
-    assert [(row.frames, row.joint) for row in rows[::2]] == [(group, len(group)) for group in groups]
-    assert len({row.start.tobytes() for row in rows}) == len(rows)
+    assert [(row.frames, row.case.joint) for row in rows[::2]] == [(group, len(group)) for group in groups]
+    assert len({row.case.start.tobytes() for row in rows}) == len(rows)
     assert [round(row.start_error_of("rotation_deg"), 6) for row in rows] == [1.0] * 6
 
 
@@ -117,7 +117,7 @@ def test_a_row_begins_where_a_list_says_and_a_changed_line_is_another_row_of_its
     assert len(rows) == 6
     for row in rows:
         error = se3.exp(np.array(lines[int(row.frames[0][-3:])].split(), float))
-        np.testing.assert_allclose(row.start, error @ row.truth, atol=1e-8)
+        np.testing.assert_allclose(row.case.start, error @ row.case.truth, atol=1e-8)
     assert bench.run(text).computed == 0
     starts.write_text("\n".join([lines[0], lines[1], "0 0 0.04 0.3 0 0"]))
     changed = bench.run(text)
@@ -139,7 +139,7 @@ def test_a_run_that_raises_is_a_row_that_says_why_and_is_tried_again(bench: Benc
     assert "raised ValueError while calibrating; got no such luck" in crashed[0].reason
     assert "in calibrate" in crashed[0].exception
     assert crashed[0].estimate is None
-    assert crashed[0].start is not None
+    assert crashed[0].case.start is not None
     assert len(done.rows) == 6
     assert bench.run(text).computed == 2
 
@@ -148,7 +148,7 @@ def test_a_frame_that_cannot_be_read_and_features_that_cannot_be_had_are_rows_to
     text = HEAD.replace("frames = 3", "frames = 3, bad = 1") + '[[row]]\nlabel = "a"\noptions.extractor.fail_on = 2\n'
     good, unread, unliked = bench.run(text).rows[::2]
     assert good.solved
-    assert (unread.frames, unread.crashed, unread.start) == (("tiny/001",), True, None)
+    assert (unread.frames, unread.crashed, unread.case.start) == (("tiny/001",), True, None)
     assert "the image is cut short" in unread.reason
     assert "this picture is not liked" in unliked.reason
     assert "ValueError" in unliked.exception
@@ -419,7 +419,7 @@ LONG = QUICK.replace("seeds = 2", "seeds = 30").replace("frames = 3", "frames = 
 
 
 def _keys(folder: Path) -> set[str]:
-    return {f"{row.frames[0]} {np.abs(row.start).sum():.6f}" for row in Rows(folder).each("tiny")}
+    return {f"{row.frames[0]} {np.abs(row.case.start).sum():.6f}" for row in Rows(folder).each("tiny")}
 
 
 @pytest.mark.system
@@ -578,7 +578,7 @@ def test_datasets_that_are_left_out_are_told_and_the_others_run(
 
 def test_all_frames_of_a_camera_are_one_calibration_that_one_broken_frame_does_not_spoil(bench: Bench) -> None:
     done = bench.run(HEAD.replace("frames = 3", "frames = 4, bad = 1") + '[[row]]\nlabel = "a"\njoint = "camera"\n')
-    assert {(row.frames, row.joint, row.solved) for row in done.rows} == {
+    assert {(row.frames, row.case.joint, row.solved) for row in done.rows} == {
         (("tiny/000", "tiny/002", "tiny/003"), 3, True),
         (("tiny/001",), 1, False),
     }
@@ -588,7 +588,7 @@ def test_velocity_and_camera_of_a_frame_are_known_to_whoever_calibrates_its_feat
     """Features alone do not tell them, and an offset in time and groups of frames need them."""
     data = "synthetic:?cameras=front&width_px=160&height_px=64&lidar=vlp-16&right=false&speed_m_s=7"
     source = worker.Source(Plugins(), data, "{}", 0, "scene-0000/front")
-    facts = worker.read(worker.ReadJob(source, tmp_path))
+    facts = worker.read(source, tmp_path)
     assert facts.reason == ""
     assert np.isclose(np.linalg.norm(facts.twist[3:]), 7, atol=0.5)
     assert facts.camera_name == "front"

@@ -92,13 +92,13 @@ def test_a_suite_is_measured_once_and_its_rows_state_how(board: Board, capsys: p
     assert len(rows) == 30
     assert board.calls()["quick"] == 15
     first = rows[-1]
-    assert (first.environment.measured_by, first.protocol, first.row) == ("A. Name", "1deg 0.05m", "nearest")
+    assert (first.environment.measured_by, first.case.protocol, first.row) == ("A. Name", "1deg 0.05m", "nearest")
     first = rows[0]
     assert first.row == "quick"
     assert first.method.words["calibrator"] == "quick"
     assert first.method.options["calibrator"]["gain"] == 0.5
     assert first.environment.machine["cores"] > 0
-    assert first.truth is not None
+    assert first.case.truth is not None
     assert (first.rounds, first.matches) == ((), {}), "rows of suites are brief"
     assert board.outdated(capsys) == []
     assert board.measured() == []

@@ -55,7 +55,7 @@ def test_the_initial_guesses_are_those_of_the_measured_rows(board: Board, poses:
     }
     assert len({tuple(start) for start in written.values()}) == 15
     for row in board.measured():
-        assert np.allclose(np.ravel(row.start), written[row.frames[0], row.seed], rtol=0, atol=1e-9)
+        assert np.allclose(np.ravel(row.case.start), written[row.frames[0], row.seed], rtol=0, atol=1e-9)
 
 
 def test_a_foreign_method_is_scored(board: Board, poses: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -86,7 +86,7 @@ def test_a_foreign_method_is_in_every_section_that_makes_its_calibrations(
     starts = board.root / "starts.csv"
     assert board.command("starts", "--out", str(starts)) == 0
     assert board.command("score", str(starts), "--name", "foreign") == 0
-    counts = Counter((row.section, row.joint > 0) for row in board.rows())
+    counts = Counter((row.section, row.case.joint > 0) for row in board.rows())
     assert counts == {("one", False): 15, ("one", True): 5, ("two", False): 15}
     capsys.readouterr()
     assert board.command("table", "--section", "two") == 0
@@ -113,9 +113,9 @@ def without_first(text: str) -> str:
     [
         (without_first, "1 of 15 poses are missing; expected a line for each initial guess of the suite"),
         (lambda t: t + t.splitlines()[1], "poses.csv:17: a second pose for tiny: tiny/000, 1deg 0.05m, seed 0;"),
-        (lambda t: t.replace("tiny/000", "tiny/0000", 1), "poses.csv:2: unknown group 'tiny: tiny/0000'"),
-        (lambda t: t.replace("1deg", "2deg", 1), "poses.csv:2: unknown protocol '2deg 0.05m'"),
-        (lambda t: t.replace(",0,", ",77,", 1), "poses.csv:2: unknown seed; expected one of 0, 1, 2, 3, 4; got 77"),
+        (lambda t: t.replace("tiny/000", "tiny/0000", 1), "poses.csv:2: unknown calibration 'tiny: tiny/0000, 1deg"),
+        (lambda t: t.replace("1deg", "2deg", 1), "poses.csv:2: unknown calibration 'tiny: tiny/000, 2deg 0.05m, 0'"),
+        (lambda t: t.replace(",0,", ",77,", 1), "poses.csv:2: unknown calibration 'tiny: tiny/000, 1deg 0.05m, 77'"),
         (lambda t: re.sub(r"m,0,[^,]*", "m,0,0.9", t, count=1), "poses.csv:2: the quaternion is no rotation"),
         (lambda t: re.sub(r"m,0,[^,]*", "m,0,nan", t, count=1), "poses.csv:2: column qx is not a number"),
         (lambda t: re.sub(r"m,0,[^,]*", "m,0,", t, count=1), "poses.csv:2: column qx is not a number"),
@@ -139,7 +139,7 @@ def test_matrices_are_read_and_a_mirror_image_is_refused(
     starts = board.root / "starts.csv"
     assert board.command("score", str(starts), "--name", "nothing") == 0
     rows = board.rows()
-    assert all(np.allclose(row.estimate, row.start, rtol=0, atol=1e-9) for row in rows if row.estimate is not None)
+    assert all(np.allclose(row.estimate, row.case.start, rtol=0, atol=1e-9) for row in rows if row.estimate is not None)
     with starts.open(newline="") as file:
         lines = list(csv.reader(file))
     lines[1][4:8] = [str(-float(x)) for x in lines[1][4:8]]

@@ -39,11 +39,10 @@ def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path, capsys: pyt
 def test_rows_beyond_the_size_of_the_page_are_left_out_and_counted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(pages, "MAX_BYTES", 3000)
+    monkeypatch.setattr(pages, "MAX_ROWS", 4)
     page = written(tmp_path, [row for number in range(9) for row in rows_of(f"method {number}", [0.1], external=True)])
     out = capsys.readouterr().out
     assert "rows left out" in out
     data = description(page)
-    count = len(table(data, "rows")["rows"])
-    assert 0 < count < 9
-    assert any(f"the first {count} rows; {9 - count} further ones" in text for text in texts(data))
+    assert len(table(data, "rows")["rows"]) == 4
+    assert any("the first 4 rows; 5 further ones" in text for text in texts(data))

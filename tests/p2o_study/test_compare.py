@@ -201,9 +201,11 @@ def test_methods_of_known_spread_are_ranked_without_their_truth(bench: Bench) ->
     assert by_name["sharp"].scatter_m < 0.3 * by_name["loose"].scatter_m
     assert by_name["sharp"].figures["guesses_deg"].value == pytest.approx(0, abs=1e-6)
     assert by_name["stuck"].follows == pytest.approx(1, abs=0.02)
-    starts = {(row.dataset, row.seed): row.start.tobytes() for row in done.rows if row.section == "sharp"}
+    starts = {(row.dataset, row.seed): row.case.start.tobytes() for row in done.rows if row.section == "sharp"}
     assert len(set(starts.values())) == 18, "each group begins elsewhere"
-    assert all(row.start.tobytes() == starts[row.dataset, row.seed] for row in done.rows), "the same for all methods"
+    assert all(row.case.start.tobytes() == starts[row.dataset, row.seed] for row in done.rows), (
+        "the same for all methods"
+    )
     _, blind = run(bench, "stuck,loose,sharp", "blind:?frames=12", "blind")
     assert blind.sentence == comparison.sentence
     assert not len(blind.outcomes["sharp"].errors("rotation_deg"))
@@ -337,18 +339,15 @@ def test_the_command_prints_the_ranking_and_writes_page_and_json(
     assert "Missing argument '[DATASET:]PATH'" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("words", ["compare --groups 5 --methods", "basin --rotations 1 --translations 0.1 --data"])
 def test_a_plugin_of_another_package_runs_in_a_worker_which_it_may_crash(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch, words: str
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "JUDGES", {})
     monkeypatch.setenv("P2O_CACHE", str(bench.root / "cache"))
-    command, *options, last = words.split()
-    named = [last, "elsewhere", "tiny:?frames=5"] if command == "compare" else [last, "tiny:?frames=1", "elsewhere"]
     out = str(bench.root / "out")
-    files = ["--plugin", str(PLUGIN), "--plugin", str(OWN)]
-    assert main([command, *options, *named, *files, "--out", out, "--quiet"]) == 0
-    reasons = {row.reason for row in Rows(out).each(command)}
+    words = ["compare", "--groups", "5", "--methods", "elsewhere", "tiny:?frames=5", "--out", out, "--quiet"]
+    assert main([*words, "--plugin", str(PLUGIN), "--plugin", str(OWN)]) == 0
+    reasons = {row.reason for row in Rows(out).each("compare")}
     assert reasons
     assert f"process {os.getpid()}" not in reasons
 

@@ -135,12 +135,9 @@ def test_a_lost_cluster_is_one_line_that_states_the_next_step(bench: Bench, clus
     else:
         for worker in cluster.workers:
             worker.kill()
-    out, error = process.communicate(timeout=200)
+    _, error = process.communicate(timeout=200)
     assert process.returncode == 2, error
-    assert error.count("\n") == 2, error
-    kept, line = error.splitlines()
-    assert kept.startswith(f"p2o: {len(bench.keys())} rows are kept in ")
+    [line] = error.splitlines()
     assert len(bench.keys()) >= before
-    assert out.startswith("Tiny\n"), "the table of the kept rows"
     assert line.startswith(f"p2o: error: {cluster.address}: the workers of --backend dask were lost; ")
     assert line.endswith("start scheduler and workers again, then run the same command")

@@ -358,7 +358,7 @@ def test_a_program_for_single_frames_takes_one_section(board: Board, capsys: pyt
         put(out / f"{number:04d}", "bevcalib", savetxt(TRUTH))
     words = ("--from", "bevcalib", "--name", "BEVCalib", "--section", "single")
     assert board.command("score", str(out), *words) == 0
-    assert {(row.section, row.joint) for row in board.rows()} == {("single", 0)}
+    assert {(row.section, row.case.joint) for row in board.rows()} == {("single", 0)}
     assert board.command("starts", "--out", str(board.root / "s.csv"), "--section", "triple") == 2
     assert "unknown section 'triple'" in capsys.readouterr().err
 

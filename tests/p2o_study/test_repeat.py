@@ -48,7 +48,7 @@ def test_commands_repeat_single_and_joint_rows_of_the_smoke_suite(
         computed = {row.row: row for row in session.calibrated(cells, chosen)}
     for row in computed.values():
         rows.put("smoke", row)
-    assert {row.joint for row in computed.values()} == {0, 3}
+    assert {row.case.joint for row in computed.values()} == {0, 3}
     assert main(["benchmark", "table", "smoke", "--commands", "--results", str(tmp_path)]) == 0
     printed = capsys.readouterr().out
     assert len(commands(printed)) == len(computed) == 5
@@ -56,7 +56,7 @@ def test_commands_repeat_single_and_joint_rows_of_the_smoke_suite(
     for words, comment in zip(commands(printed), labels, strict=True):
         [row] = [row for row in computed.values() if f": {row.row}, {row.place}, seed 0: " in comment]
         start, pose = poses(words, capsys)
-        assert np.allclose(start, row.start, rtol=0, atol=SAME)
+        assert np.allclose(start, row.case.start, rtol=0, atol=SAME)
         assert row.pose is not None
         assert np.allclose(pose, row.pose, rtol=0, atol=SAME), comment
 
@@ -72,7 +72,7 @@ def test_every_kind_of_group_has_the_initial_guess_of_its_command(
     [words] = commands(capsys.readouterr().out)
     start, pose = poses([*words, "--plugin", str(PLUGIN)], capsys)
     first = min((row for row in board.rows() if row.seed == 0), key=lambda row: row.frames)
-    assert np.allclose(start, first.start, rtol=0, atol=SAME)
+    assert np.allclose(start, first.case.start, rtol=0, atol=SAME)
     assert np.allclose(pose, first.pose, rtol=0, atol=SAME)
 
 

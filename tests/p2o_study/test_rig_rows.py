@@ -35,7 +35,7 @@ def test_a_row_has_the_pose_of_a_run_and_its_error_which_is_that_of_every_camera
     # The camera of the first frame is the body.
     places = [truth_of(camera) @ se3.inverse(truth_of(0)) for camera in range(2)]
     for row in rows["rig"]:
-        assert row.start is not None
+        assert row.case.start is not None
         rig = {
             "cameras": {
                 name: {"camera_from_body": place.tolist(), "frames": frames}
@@ -43,7 +43,7 @@ def test_a_row_has_the_pose_of_a_run_and_its_error_which_is_that_of_every_camera
                     "ab", places, (["tiny/000", "tiny/002"], ["tiny/001", "tiny/003"]), strict=True
                 )
             },
-            "body_from_lidar": row.start.tolist(),
+            "body_from_lidar": row.case.start.tolist(),
         }
         run = p2o.calibrate(
             "tiny:?frames=4&cameras=2",
@@ -74,7 +74,7 @@ def test_a_suite_measures_and_states_rigs_and_external_methods_have_no_poses_of_
 ) -> None:
     board.write(study=RIG + ROWS, suite=SUITE)
     rows = board.measured()
-    assert {(row.row, row.case.rig, row.joint, len(row.frames)) for row in rows} == {
+    assert {(row.row, row.case.rig, row.case.joint, len(row.frames)) for row in rows} == {
         ("rig", True, 4, 4),
         ("each", False, 2, 2),
     }

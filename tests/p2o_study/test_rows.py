@@ -21,7 +21,7 @@ from p2o.results.result import Status
 from p2o.results.verdict import Trust
 from p2o.solving import Round
 from p2o_study.row import PREDICTED, Case, Environment, Frame, Method, Row
-from p2o_study.rows import MAX_LINE_BYTES, PlanRow, Rows, StoredStudy, plan_of
+from p2o_study.rows import MAX_LINE_BYTES, PlanRow, Rows, StoredStudy, latest, plan_of
 
 from tests.fake_study import TRUTH, run_of, table2, write_store
 
@@ -147,7 +147,7 @@ def test_the_last_measurement_of_a_calibration_counts_unless_it_raised(tmp_path:
     crash = keyed("c", status=Status.STAGE_FAILED, estimate=None, finished="2026-01-03T00:00:00+00:00")
     for row in (later, ROW, crash):
         rows.put("table2", row)
-    assert [row.key for row in rows.latest("table2")] == ["new"]
+    assert [row.key for row in latest(rows.each("table2"))] == ["new"]
 
 
 # ---- incomplete files
@@ -189,7 +189,7 @@ def test_merging_two_folders_is_joining_the_lines_of_their_files_in_any_order(tm
         (folder := tmp_path / name).mkdir()
         for file in ("table2.jsonl", "_frames.jsonl", "_cases.jsonl", "_methods.jsonl", "_environments.jsonl"):
             (folder / file).write_bytes(b"".join((part / file).read_bytes() for part in order))
-        merged.append(sorted(str(row.identity) for row in Rows(folder).latest("table2")))
+        merged.append(sorted(str(row.identity) for row in latest(Rows(folder).each("table2"))))
     assert merged[0] == merged[1] == merged[2]
     assert len(merged[0]) == len({str(row.identity) for row in (*table2(3, 2), *table2(2, 3))}) + 1
 

@@ -26,7 +26,7 @@ from p2o_study.parallel import Run, Workers
 from p2o_study.row import Row
 from p2o_study.rows import PlanRow, Rows, StoredStudy, plan_of
 from p2o_study.study import LARGEST_SEED, MAX_ROWS, MAX_SEEDS, Study, StudyRow, check_study, with_place
-from p2o_study.worker import CalibrateJob, ExtractJob, FrameRecord, Plugins, ReadJob, Source
+from p2o_study.worker import CalibrateJob, FrameRecord, Plugins, Source
 
 Phase = Literal["read", "extract", "calibrate"]
 MAX_CALIBRATIONS = 100_000
@@ -164,9 +164,9 @@ class Session:
             firsts.setdefault(entry.sources[0], []).append(entry)
         # The first frames of rows come first, because they may refuse the study.
         sources = dict.fromkeys([*firsts, *(source for entry in self.opened for source in entry.sources)])
-        jobs = [ReadJob(source, self.cache.root) for source in sources]
+        read = partial(worker.read, cache_folder=self.cache.root)
         records: dict[Source, FrameRecord] = {}
-        with contextlib.closing(self.run(worker.read, jobs, worker.read_failed)) as finished:
+        with contextlib.closing(self.run(read, sources, worker.read_failed)) as finished:
             for record in finished:
                 for entry in firsts.get(record.source, ()) if record.failure is None else ():
                     try:
@@ -175,7 +175,7 @@ class Session:
                         raise with_place(problem, f"{entry.row.where}, row '{entry.row.label}'") from problem
                 records[record.source] = record
                 self._warn_once(record.cache_error)
-                self.say(Progress("read", len(records), len(jobs), name=record.name))
+                self.say(Progress("read", len(records), len(sources), name=record.name))
         return Cells(self.opened, records, initial_guess)
 
     def compute(
@@ -252,8 +252,9 @@ class Session:
                     if key not in examined and not self.cache.has(key):
                         wanted.setdefault(record.source, {})[key] = (key, method.recipe, stage)
                     examined.add(key)
-        jobs = [ExtractJob(source, self.cache.root, tuple(tasks.values())) for source, tasks in wanted.items()]
-        with contextlib.closing(self.run(worker.extract, jobs, lambda job, problem: "")) as finished:
+        jobs = [(source, tuple(tasks.values())) for source, tasks in wanted.items()]
+        extract = partial(worker.extract, cache_folder=self.cache.root)
+        with contextlib.closing(self.run(extract, jobs, lambda job, problem: "")) as finished:
             for done, cache_error in enumerate(finished, start=1):
                 self._warn_once(cache_error)
                 self.say(Progress("extract", done, len(jobs)))

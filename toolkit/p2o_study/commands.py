@@ -2,7 +2,6 @@
 
 COMMANDS = {
     "ablate": "Run a study: methods x frames x starts, as a table that can be resumed and gated.",
-    "basin": "Show which wrong starts methods still correct, as heat maps.",
     "benchmark": "Measure suites as rows of data, compute rows again, score external methods, write tables and a page.",
     "compare": "Compare methods on your own frames without ground truth: repeatability, agreement, ranking.",
     "report": "Write tables, figures and one page about the studies in a folder.",

@@ -41,7 +41,7 @@ from p2o_study.parallel import Workers
 from p2o_study.row import Row
 from p2o_study.statistics import Statistics
 from p2o_study.study import Study, check_study, study_of
-from p2o_study.worker import FrameRecord, Plugins, ReadJob, Source
+from p2o_study.worker import FrameRecord, Plugins, Source
 
 JUDGES = {"edges": "ours", "nid": "nid"}
 """Methods whose cost evaluates poses on other frames, by the name of the judge."""
@@ -210,7 +210,7 @@ def compare(
     words |= {"plugins": plugins, "workers": workers, "cache": cache, "initial_guess": guesses, "seeds_first": True}
     done = studies.ablate(study, folder, **words)
     plans = {row.section: row.resolve(registry, row.seeds[0]) for row in study.rows()}
-    readable = [n for n in range(groups) if all(r.start is not None for r in done.rows if r.dataset == _group(n))]
+    readable = [n for n in range(groups) if all(r.case.start is not None for r in done.rows if r.dataset == _group(n))]
     rows = [row for row in done.rows if row.dataset in set(map(_group, readable))]
     if done.interrupted or done.missing:
         rows = _complete(rows)
@@ -224,7 +224,7 @@ def compare(
         remarks = (f"{left}; {used}, without held-out agreement", *comparison.remarks)
         return done, replace(comparison, remarks=remarks, interrupted=True)
     if len(readable) < MIN_GROUPS:
-        reason = next(row.reason for row in done.rows if row.start is None)
+        reason = next(row.reason for row in done.rows if row.case.start is None)
         raise InputError("too few groups of frames can be read", expected=f"at least {MIN_GROUPS}", got=reason)
     if judges is None:
         published = presets(registry)
@@ -294,7 +294,7 @@ def _compared(
         names,
         [family_of(plans[name]) for name in names],
         figures.to_tangents(estimates, reference).reshape(*shape, 6),
-        figures.to_tangents(np.array([row.start for row in ranked]), reference).reshape(*shape, 6),
+        figures.to_tangents(np.array([row.case.start for row in ranked]), reference).reshape(*shape, 6),
         costs,
         {judge: np.array([*by.values()]) for judge, by in shares.items()},
     )
@@ -375,7 +375,7 @@ def _costs(job: JudgeJob) -> Float:
     pipeline, views = plan.calibrator(), []
     assert isinstance(pipeline, Pipeline)
     for source in job.sources:
-        record = worker.read(ReadJob(source, job.cache))
+        record = worker.read(source, job.cache)
         if record.failure is not None or record.camera is None:
             raise InputError(record.reason, where=record.name)
         parts = [(stage, plan.parts[stage]) for stage in _EXTRACTORS]

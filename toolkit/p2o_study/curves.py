@@ -40,7 +40,7 @@ def curves(lines: Sequence[Statistics], over: Over, *, least: int = 1) -> dict[s
     by_key: dict[tuple[str, str, str], list[Statistics]] = {}
     for line, name in zip(known, names, strict=True):
         size = f", {frames_of(line)} frames"
-        fixed = f" from {line.rows[0].protocol}" if over == "frames" else size
+        fixed = f" from {line.rows[0].case.protocol}" if over == "frames" else size
         key = name.removesuffix(size), f" @ {line.rows[0].dataset}", fixed
         by_key.setdefault(key, []).append(line)
     by_key = {key: own for key, own in by_key.items() if len(set(map(place, own))) == len(own) >= least}

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Annotated, Any
@@ -127,7 +127,8 @@ class Case:
     @property
     def place(self) -> str:
         """The names of the frames as one text: the first, and the number of others."""
-        return place_of(self.names)
+        first, *others = self.names
+        return first + (f" +{len(others)}" if others else "")
 
     @cached_property
     def start_error(self) -> PoseError | None:
@@ -212,34 +213,14 @@ class Row:
         return self.case.seed
 
     @property
-    def joint(self) -> int:
-        """The number of frames of a joint calibration, 0 for a single frame."""
-        return self.case.joint
-
-    @property
-    def protocol(self) -> str:
-        """The draw of the initial guess."""
-        return self.case.protocol
-
-    @property
-    def start(self) -> Float | None:
-        """The initial guess (4, 4)."""
-        return self.case.start
-
-    @property
-    def truth(self) -> Float | None:
-        """The ground truth (4, 4)."""
-        return self.case.truth
-
-    @property
     def identity(self) -> tuple[str, str, str, str, int, tuple[str, ...]]:
         """What is measured, whatever the revision of the method: section, data set, label, protocol, seed, frames."""
-        return (self.section, self.dataset, self.row, self.protocol, self.seed, self.frames)
+        return (self.section, self.dataset, self.row, self.case.protocol, self.seed, self.frames)
 
     def named(self) -> dict[str, str | int]:
         """Return what identifies the calibration for a reader, for JSON."""
-        names = ("dataset", "section", "row", "place", "protocol", "seed")
-        return {name: getattr(self, name) for name in names}
+        names = {"dataset": self.dataset, "section": self.section, "row": self.row, "place": self.place}
+        return {**names, "protocol": self.case.protocol, "seed": self.seed}
 
     @property
     def solved(self) -> bool:
@@ -259,14 +240,14 @@ class Row:
     @property
     def pose(self) -> Float | None:
         """The result (4, 4): the estimate, or the initial guess of a refused calibration."""
-        return self.start if self.estimate is None else self.estimate
+        return self.case.start if self.estimate is None else self.estimate
 
     @cached_property
     def error(self) -> PoseError | None:
         """The error of the result; None where it is unknown or the calibration raised."""
-        if self.crashed or self.truth is None or self.pose is None:
+        if self.crashed or self.case.truth is None or self.pose is None:
             return None
-        return self.case.start_error if self.estimate is None else pose_error(self.estimate, self.truth)
+        return self.case.start_error if self.estimate is None else pose_error(self.estimate, self.case.truth)
 
     def error_of(self, metric: str) -> float | None:
         """Return one of `METRICS` of the error, signed by axis; None where it is unknown."""
@@ -292,9 +273,9 @@ class Row:
     @property
     def unmoved(self) -> bool:
         """True if the estimate is the initial guess: the solver did not move."""
-        if self.estimate is None or self.start is None:
+        if self.estimate is None or self.case.start is None:
             return False
-        return SolverStatus.of(self.start, self.estimate, converged=True) is SolverStatus.NOT_MOVED
+        return SolverStatus.of(self.case.start, self.estimate, converged=True) is SolverStatus.NOT_MOVED
 
 
 def _part(error: PoseError | None, metric: str) -> float | None:
@@ -310,12 +291,6 @@ def frame_digest(digests: Mapping[str, str], truth: Float | None) -> str:
     pose = None if truth is None else (np.round(truth, _DECIMALS) + 0.0).tolist()
     content = [*(digests[name] for name in ("image", "sweep", "calibration")), pose]
     return hashlib.sha256(json.dumps(content).encode()).hexdigest()
-
-
-def place_of(names: Iterable[str]) -> str:
-    """Return the names of frames as one text: the first, and the number of others."""
-    first, *others = names
-    return first + (f" +{len(others)}" if others else "")
 
 
 def brief_figures(values: Mapping[str, Value]) -> dict[str, Any]:

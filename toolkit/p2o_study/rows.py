@@ -102,10 +102,6 @@ class Rows:
             if (row := self._row(plain, where)) is not None:
                 yield row
 
-    def latest(self, study: str) -> list[Row]:
-        """Return the row of each identity that counts (`latest`)."""
-        return latest(self.each(study))
-
     def planned(self, study: str, *, rounds: bool = True) -> list[Row]:
         """Return the finished calibrations of the plan of a study, in its order, under its labels.
 

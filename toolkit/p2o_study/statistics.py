@@ -156,6 +156,12 @@ def is_outside_95(row: Row) -> bool:
     return not all(covered.get(name, True) for name in BOUNDS[2:])
 
 
+def error_rank(row: Row) -> tuple[float, int]:
+    """Return a sort key of calibrations: the rotation error, then the verdict."""
+    error = -1.0 if row.error is None else row.error.rotation_deg
+    return error, -1 if row.trust is None else list(Trust).index(row.trust)
+
+
 @dataclass(frozen=True)
 class Coverage:
     """The coverage of predicted errors over `count` results with predicted and known errors.
@@ -223,11 +229,6 @@ class Statistics:
         """Number of calibrations that raised."""
         return sum(row.crashed for row in self.rows)
 
-    @property
-    def refused(self) -> int:
-        """Number of calibrations without an estimate for a reason that the method reports."""
-        return self.count - self.solved - self.crashed
-
     @cached_property
     def failures(self) -> Mapping[str, int]:
         """Number of calibrations without an estimate by status, and of those that are not computed."""
@@ -247,7 +248,7 @@ class Statistics:
     @cached_property
     def protocols(self) -> tuple[str, ...]:
         """The draws of the initial guesses."""
-        return tuple(dict.fromkeys(row.protocol for row in self.rows))
+        return tuple(dict.fromkeys(row.case.protocol for row in self.rows))
 
     @cached_property
     def trust(self) -> Mapping[Trust, int]:

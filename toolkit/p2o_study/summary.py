@@ -85,7 +85,7 @@ def summary_of_stored(rows: Rows, stored: StoredStudy) -> Summary | None:
 
 def summarised(study: Study, rows: Sequence[Row], missing: Iterable[PlanRow] = ()) -> Summary:
     """Return the summary of a study from its finished calibrations and the missing ones of its plan."""
-    kinds = {row.row: _JOINT if row.joint else _SINGLE for row in rows}
+    kinds = {row.row: _JOINT if row.case.joint else _SINGLE for row in rows}
     waiting: Counter[str] = Counter()
     members: dict[tuple[str, str, str], list[str]] = {}
     every: Iterable[Row | PlanRow] = itertools.chain(rows, missing)

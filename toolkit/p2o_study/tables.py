@@ -46,12 +46,13 @@ _PRINTED = dict(zip(PER_AXIS, NORMS, strict=True))
 """Published figures that are shown as means over axes, too: publications do not always state which they are."""
 
 NOTES = (
-    "Errors are those of single runs (docs/conventions.md); errors by axis are absolute. A refused run counts with the "
-    "error of its initial guess, which is its result; a run that raised has no error, and its row no bold figure. "
-    "Published rows are as printed in their source, not measured here, and never bold.",
-    f"In brackets: 95 % intervals from {RESAMPLES} bootstrap samples of the frames, all seeds of a frame together; "
-    f"none for fewer than {MIN_FRAMES} frames. Frames of one drive resemble each other, so that intervals over frames "
-    "of few drives are rather too narrow.",
+    "Runs are calibrations, frames distinct frames, groups independent ones (frames or drives). Errors are those of "
+    "single runs (docs/conventions.md), absolute by axis. A refused run counts with the error of its initial "
+    "guess, which is its result (solved only: the mean without them); a run that raised has no error, and its row no "
+    "bold figure. Published rows are as printed in their source, not measured here, and never bold.",
+    f"In brackets: 95 % intervals from {RESAMPLES} bootstrap samples of the groups, all seeds of a frame together; "
+    f"none for fewer than {MIN_FRAMES}. Frames of one drive resemble each other, so that intervals over frames of few "
+    "drives are rather too narrow. Methods whose intervals overlap have no order.",
     "The verdict is estimated without ground truth. Ambiguous: another pose fits about as well. Doubtful: image and "
     "sweep do not agree at the pose, or no independent check was possible. Refused: there is no new pose.",
     "Predicted 67 %: the median of the predicted errors (67 %), estimated without ground truth.",
@@ -83,8 +84,13 @@ class Table:
 
 def table_of(caption: str, columns: Sequence[Column], rows: Iterable[Any]) -> Table:
     """Return a table with columns of a page: the first line of each cell."""
-    header = tuple(f"{column.name} [{column.unit}]" if column.unit else column.name for column in columns)
+    header = tuple(map(header_of, columns))
     return Table(caption, header, tuple(tuple(Cell(text_of(column, row)) for column in columns) for row in rows))
+
+
+def header_of(column: Column) -> str:
+    """Return the heading of a column in tables: its name and unit."""
+    return f"{column.name} [{column.unit}]" if column.unit else column.name
 
 
 def text_of(column: Column, row: Any) -> str:
@@ -101,15 +107,46 @@ def text_of(column: Column, row: Any) -> str:
 
 @dataclass(frozen=True)
 class Figure:
-    """A column of measured rows in tables and on pages, shown in a table where `shown` is true of any of its rows."""
+    """A column of rows in tables and on pages, shown in a table where `shown` is true of any of its measured rows.
+
+    One of errors has a `metric` and a `statistic`: its best value is bold, and published rows have means.
+    """
 
     column: Column
     shown: Callable[[Statistics], bool] = lambda row: True
+    metric: str | None = None
+    statistic: Statistic = "mean"
 
     @property
     def name(self) -> str:
         """The name of the column."""
         return self.column.name
+
+    def published(self, row: Published) -> float | None:
+        """Return the value of a published row, in degrees or metres."""
+        if self.metric is None or self.statistic == "median":
+            return None
+        return row.values.get(self.metric, row.values.get(_PRINTED.get(self.metric, "")))
+
+    def page_cell(self, row: Statistics | Published, rivals: Sequence[Statistics] = ()) -> Any:
+        """Return the cell of a row on a page; the best of the rivals is bold."""
+        if isinstance(row, Published):
+            return None if self.metric is None else in_unit(self.published(row), self.metric)
+        if self.metric is not None:
+            best = leads(row, rivals, self.metric, self.statistic)
+            return error_cell(row, self.metric, self.statistic, "strong" if best else None)
+        return None if self.column.of is None else self.column.of(row)
+
+    def table_cell(self, row: Statistics | Published, rivals: Sequence[Statistics]) -> Cell:
+        """Return the cell of a row in a table; the best of the rivals is bold."""
+        if self.metric is None:
+            return Cell(NONE if isinstance(row, Published) else text_of(self.column, row))
+        if isinstance(row, Published):
+            value = self.published(row)
+            return Cell(NONE) if value is None else Cell(shown(Interval(value), self.metric), "italic")
+        known: Interval | None = getattr(row, self.statistic)(self.metric)
+        plain = Interval(known.value) if known is not None and self.statistic == "median" else known
+        return Cell(shown(plain, self.metric), "bold" if leads(row, rivals, self.metric, self.statistic) else "")
 
 
 def _judged(row: Statistics) -> bool:
@@ -188,34 +225,18 @@ def figures_of(rows: Iterable[Statistics], without: Collection[str] = ()) -> lis
     return [figure for figure in FIGURES if figure.name not in without and any(map(figure.shown, rows))]
 
 
-@dataclass(frozen=True)
-class Entry:
-    """A column of a table of errors: heading, cell of a measured row and its rivals, metric shown of published ones."""
-
-    header: str
-    measured: Callable[[Statistics, Sequence[Statistics]], Cell]
-    metric: str | None = None
+def error_figure(metric: str, statistic: Statistic, hide: int = 1, option: str | None = None) -> Figure:
+    """Return the column of the mean or median errors in a metric; `hide` and `option` are those of pages."""
+    of = partial(error_cell, metric=metric, statistic=statistic)
+    column = Column(f"{name_of(metric)} {statistic}", *unit_of(metric)[::2], hide=hide, option=option, of=of)
+    return Figure(column, metric=metric, statistic=statistic)
 
 
-def _of_figure(figure: Figure) -> Entry:
-    return Entry(figure.name, lambda row, rivals: Cell(text_of(figure.column, row)))
+def _of_solved(norm: str) -> Figure:
+    return Figure(Column("solved only", of=lambda row: shown(row.solved_only.mean(norm), norm)))
 
 
-def _of_metric(metric: str, statistic: Statistic) -> Entry:
-    def error(row: Statistics, rivals: Sequence[Statistics]) -> Cell:
-        value: Interval | None = getattr(row, statistic)(metric)
-        plain = Interval(value.value) if value is not None and statistic == "median" else value
-        return Cell(shown(plain, metric), "bold" if leads(row, rivals, metric, statistic) else "")
-
-    header = f"{name_of(metric)} {statistic} [{unit_of(metric)[0]}]"
-    return Entry(header, error, metric if statistic == "mean" else None)
-
-
-def _of_solved(norm: str) -> Entry:
-    return Entry("solved only", lambda row, rivals: Cell(shown(row.solved_only.mean(norm), norm)))
-
-
-def entries_of(names: Iterable[str], where: str) -> list[Entry]:
+def entries_of(names: Iterable[str], where: str) -> list[Figure]:
     """Return columns by their names, with or without the unit in brackets; raises UnknownNameError, with `where`."""
     entries = []
     for name in names:
@@ -233,21 +254,21 @@ def entries_by_default(
     *,
     figures: Sequence[Figure] | None = None,
     solved_only: bool = False,
-) -> list[Entry]:
+) -> list[Figure]:
     """Return the columns of rows: `figures` (default: `figures_of`), then mean and median of each norm.
 
     With `solved_only` there is also the mean without refused calibrations, where any was refused.
     """
     rows = list(rows)
     apart = solved_only and any(row.count > row.solved for row in rows)
-    entries = list(map(_of_figure, figures_of(rows) if figures is None else figures))
+    entries = list(figures_of(rows) if figures is None else figures)
     for norm in norms:
-        entries += [*(_of_metric(norm, one) for one in STATISTICS), *([_of_solved(norm)] if apart else [])]
+        entries += [*(error_figure(norm, one) for one in STATISTICS), *([_of_solved(norm)] if apart else [])]
     return entries
 
 
 def error_table(
-    caption: str, rows: Sequence[Statistics | Published], entries: Sequence[Entry], *, comparable: bool = True
+    caption: str, rows: Sequence[Statistics | Published], entries: Sequence[Figure], *, comparable: bool = True
 ) -> Table:
     """Return the table of rows with these columns; the best figures of `comparable` rows are bold.
 
@@ -256,21 +277,17 @@ def error_table(
     leaders = [row for row in rows if isinstance(row, Statistics)] if comparable else ()
     lines = []
     for row in rows:
-        if isinstance(row, Published):
-            cells = [_published(row, entry.metric) for entry in entries]
-            if all(one.text == NONE for one in cells):
-                continue
-        else:
-            cells = [entry.measured(row, leaders) for entry in entries]
-        lines.append((label_cell(row), *cells))
-    return Table(caption, ("row", *(entry.header for entry in entries)), tuple(lines))
+        cells = [entry.table_cell(row, leaders) for entry in entries]
+        if not isinstance(row, Published) or any(one.text != NONE for one in cells):
+            lines.append((label_cell(row), *cells))
+    return Table(caption, ("row", *(header_of(entry.column) for entry in entries)), tuple(lines))
 
 
-def entries_by_axis(rows: Iterable[Statistics], axes: Sequence[str]) -> list[Entry]:
+def entries_by_axis(rows: Iterable[Statistics], axes: Sequence[str]) -> list[Figure]:
     """Return the columns of mean absolute errors by axis, and of their means over the axes of one unit."""
     means = [metric for metric, of in PER_AXIS.items() if set(of) <= set(axes)]
     stuck = [figure for figure in figures_of(rows) if figure.name == "not moved"]
-    return [*map(_of_figure, stuck), *(_of_metric(metric, "mean") for metric in (*axes, *means))]
+    return [*stuck, *(error_figure(metric, "mean") for metric in (*axes, *means))]
 
 
 def in_unit(value: float | None, metric: str) -> Any:
@@ -348,7 +365,7 @@ def terminal_text(summary: Summary, columns: Sequence[str] = ()) -> str:
     by_axis = [entries_by_axis(statistics, summary.axes)] if summary.has_axes and not columns else []
     text: list[str] = []
     for chosen in (entries, *by_axis):
-        lines = [["", *(entry.header for entry in chosen)]]
+        lines = [["", *(header_of(entry.column) for entry in chosen)]]
         for group in summary.groups:
             lines += [[f"[{group.heading}]"]] if group.heading else []
             named = [row.model_copy(update={"source": ""}) if isinstance(row, Published) else row for row in group.rows]
@@ -356,7 +373,7 @@ def terminal_text(summary: Summary, columns: Sequence[str] = ()) -> str:
         text += aligned(lines)
     published = [row for group in summary.groups for row in group.rows if isinstance(row, Published)]
     sources = [f"{row.label}: {', '.join(filter(None, (row.source, row.start, row.note)))}" for row in published]
-    return "\n".join([*text, *sources, *summary.pooled, *_unmoved(statistics), *_by_protocol(summary)])
+    return "\n".join([*text, *sources, *summary.pooled, *_by_protocol(summary)])
 
 
 def aligned(lines: Sequence[Sequence[str]]) -> list[str]:
@@ -365,22 +382,13 @@ def aligned(lines: Sequence[Sequence[str]]) -> list[str]:
     return ["  ".join([line[0].ljust(widths[0]), *map(str.rjust, line[1:], widths[1:])]).rstrip() for line in lines]
 
 
-def _unmoved(rows: Sequence[Statistics]) -> list[str]:
-    """Return a line for each row of the table with results that are the initial guess, without being refused."""
-    return [
-        f"{row.label}: {row.unmoved} of {row.count} results are the initial guess, which the solver did not move"
-        for row in rows
-        if row.unmoved
-    ]
-
-
 def _by_protocol(summary: Summary) -> list[str]:
     """Return the figures of the protocol, one line per row; a refused calibration counts with its initial guess."""
     if summary.protocol is None:
         return []
     protocol, lines = protocol_of(summary.protocol), []
     for row in (row for group in summary.groups for row in group.measured):
-        known = [(one.pose, one.truth) for one in row.rows if one.truth is not None and one.pose is not None]
+        known = [(one.pose, one.case.truth) for one in row.rows if one.case.truth is not None and one.pose is not None]
         if known:
             estimates, truths = (np.array(poses) for poses in zip(*known, strict=True))
             lines.append(f"{row.label}: {figures_text(protocol, protocol.figures(estimates, truths))}")
@@ -428,14 +436,9 @@ def label_cell(row: Statistics | Published) -> Cell:
     return Cell(f"{row.label} (published{f': {row.source}' if row.source else ''})", "italic")
 
 
-def _published(row: Published, metric: str | None) -> Cell:
-    value = None if metric is None else row.values.get(metric, row.values.get(_PRINTED.get(metric, "")))
-    return Cell(NONE) if metric is None or value is None else Cell(shown(Interval(value), metric), "italic")
-
-
-ENTRIES: Mapping[str, Entry] = {
-    **{figure.name: _of_figure(figure) for figure in FIGURES},
-    **{f"{name_of(m)} {one}": _of_metric(m, one) for m in (*METRICS, *PER_AXIS) for one in STATISTICS},
+ENTRIES: Mapping[str, Figure] = {
+    **{figure.name: figure for figure in FIGURES},
+    **{f"{name_of(m)} {one}": error_figure(m, one) for m in (*METRICS, *PER_AXIS) for one in STATISTICS},
     **{f"{name_of(norm)} solved only": _of_solved(norm) for norm in NORMS},
 }
 """Every column of tables of errors by its name, without the unit."""

@@ -93,14 +93,6 @@ class Source:
     accumulate: str = ""
 
 
-@dataclass(frozen=True)
-class ReadJob:
-    """A job to read a frame."""
-
-    source: Source
-    cache: Path
-
-
 @dataclass(frozen=True, eq=False)
 class FrameRecord:
     """The data of a frame that planning needs; `inputs` are content hashes of its parts.
@@ -131,15 +123,6 @@ class FrameRecord:
         return self.source.name
 
 
-@dataclass(frozen=True)
-class ExtractJob:
-    """A job to extract features of one frame into the cache: key, recipe (JSON) and stage of each."""
-
-    source: Source
-    cache: Path
-    wanted: tuple[tuple[str, str, str], ...]
-
-
 @dataclass(frozen=True, eq=False)
 class CalibrateJob:
     """A job to compute one row: `row` has the fields known in advance, `recipe` (JSON) the methods.
@@ -164,12 +147,12 @@ _RECORD_FORMAT = 3
 _OF_FRAME = ("camera", "camera_from_lidar", "start", "camera_name", "twist", "warnings")
 
 
-def read(job: ReadJob) -> FrameRecord:
+def read(source: Source, cache_folder: Path) -> FrameRecord:
     """Read a frame and return its record; a frame that cannot be read has a `failure`.
 
     A computed frame is not rendered if the cache has its record. Frames that are files are read each time.
     """
-    source, cache = job.source, BestEffortCache(job.cache)
+    cache = BestEffortCache(cache_folder)
     try:
         identity = identity_of(source)
         key = "" if identity is None else content_hash([_RECORD_FORMAT, ALGORITHM, identity])
@@ -191,9 +174,9 @@ def read(job: ReadJob) -> FrameRecord:
     return FrameRecord(source, **values, cache_error=cache.cache_error)
 
 
-def read_failed(job: ReadJob, problem: P2OError) -> FrameRecord:
+def read_failed(source: Source, problem: P2OError) -> FrameRecord:
     """Return the record of a frame whose reading terminated every worker."""
-    return _failed_record(job.source, str(problem), str(problem))
+    return _failed_record(source, str(problem), str(problem))
 
 
 def _failed_record(source: Source, reason: str, failure: str) -> FrameRecord:
@@ -277,16 +260,17 @@ def portable_hash(value: Any) -> str:
     )
 
 
-def extract(job: ExtractJob) -> str:
-    """Extract the features that are not cached; return the reason if they could not be cached.
+def extract(job: tuple[Source, Sequence[tuple[str, str, str]]], cache_folder: Path) -> str:
+    """Extract features of a frame, each a key, a recipe (JSON) and a stage, unless they are cached.
 
-    An extractor that raises here raises again in the rows that need it, which report the error.
+    Return the reason if they could not be cached, else an empty text. An extractor that raises here raises again in the
+    rows that need it, which report the error.
     """
-    cache = BestEffortCache(job.cache)
-    for key, recipe, stage in job.wanted:
+    (source, wanted), cache = job, BestEffortCache(cache_folder)
+    for key, recipe, stage in wanted:
         if not cache.has(key):
             try:
-                prepared(cache, key, job.source, plan_of(job.source.plugins, recipe).parts[stage], stage)
+                prepared(cache, key, source, plan_of(source.plugins, recipe).parts[stage], stage)
             except KeyboardInterrupt:
                 raise
             except BaseException:
@@ -342,7 +326,7 @@ def _filled(row: Row, result: Result) -> Row:
 
 
 def _result(job: CalibrateJob) -> Result:
-    assert job.row.start is not None
+    assert job.row.case.start is not None
     plugins, cache, took = job.records[0].source.plugins, BestEffortCache(job.cache), []
     plan = plan_of(plugins, job.recipe)
     assembly = Assembly.of(plan.parts, plan.pipeline, built)
@@ -368,8 +352,8 @@ def _result(job: CalibrateJob) -> Result:
         given_pieces = ReadAgain(lambda number: _frame(job.records[number].source), range(len(each)), truth=False)
     else:
         given_pieces = [features(info, records, keys) for info, (records, keys) in zip(infos, each, strict=True)]
-    result = assembly.calibrated(infos, given_pieces, job.row.start)
-    result = with_cost_of_truth(assembly, infos, given_pieces, result, job.row.truth)
+    result = assembly.calibrated(infos, given_pieces, job.row.case.start)
+    result = with_cost_of_truth(assembly, infos, given_pieces, result, job.row.case.truth)
     # For cached features, the time of their extraction counts.
     seconds = {**result.seconds, "extract": sum(took)}
     result = assembly.checked(result, infos, lambda number: pieces(*each[number], WITNESS))
@@ -382,7 +366,7 @@ def _rig_result(job: CalibrateJob) -> Result:
 
     As in `p2o run --rig`, each camera is calibrated alone, then all of them together.
     """
-    start, plan = job.row.start, plan_of(job.records[0].source.plugins, job.recipe)
+    start, plan = job.row.case.start, plan_of(job.records[0].source.plugins, job.recipe)
     assert start is not None
     assembly = Assembly.of(plan.parts, plan.pipeline, built)
     places, frames = {}, {}

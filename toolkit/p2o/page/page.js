@@ -352,7 +352,7 @@ function panelSvg(box, panel, series, look, zoom, redraw) {
     }
     one.x.forEach((value, n) => {
       if (!fine[n]) return;
-      const open = one.open ? () => one.open(n) : known(one.opens?.[n]) && panel.opens ? () => { const other = tables.get(panel.opens); openRow(other, other.rows[one.opens[n]]); } : null;
+      const open = one.open ? () => one.open(n) : null;
       const parts = [], told = `${one.text?.[n] ?? (yAxis.names ? `${yAxis.names[Math.round(one.y[n])]}, ${one.name}` : one.name)}: ${one.form === "box" ? `median ${brief(value[2])}, quartiles ${brief(value[1])} to ${brief(value[3])}` : `${xAxis.names ? "" : `${brief(value)}; `}${yAxis.names ? "" : brief(one.y[n])}${one.text?.[n] ? ` (${one.name})` : ""}`}`;
       if (one.form === "box") {
         const [low, q1, middle, q3, high] = value.map(x.to), py = y.to(one.y[n]);

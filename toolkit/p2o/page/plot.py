@@ -33,8 +33,7 @@ class Series:
     """Values x and y of one name. Boxes have five values each as x: lower whisker, quartiles and upper whisker.
 
     `low` and `high` are the ends of bars `along` x or y; those of a line with a `band` its lower and upper limit.
-    `text` is shown for each point, `opens` the row of `Panel.opens` that it opens. `hollow` points are marked as such,
-    `size` scales all points.
+    `text` is shown for each point. `hollow` points are marked as such, `size` scales all points.
     """
 
     name: str
@@ -46,7 +45,6 @@ class Series:
     along: Literal["x", "y"] = "y"
     band: bool = False
     text: Sequence[str] = ()
-    opens: Sequence[int | None] = ()
     hollow: Sequence[bool] = ()
     size: float = 1.0
     colour: str | None = None
@@ -54,14 +52,13 @@ class Series:
 
 @dataclass(frozen=True)
 class Panel:
-    """One plot with its series; `opens` is the table whose rows points open, `marks` are vertical lines."""
+    """One plot with its series; `marks` are vertical lines."""
 
     x: Axis
     y: Axis
     series: Sequence[Series]
     title: str = ""
     note: str = ""
-    opens: str = ""
     marks: Sequence[float] = ()
     height: int | None = None
 

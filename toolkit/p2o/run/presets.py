@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -87,13 +87,11 @@ def presets(registry: Registry) -> dict[str, Preset]:
     return methods
 
 
-def preset_of(
-    name: str, registry: Registry, where: str | None = "--method", others: Iterable[str] = (), hint: str = ""
-) -> Preset:
+def preset_of(name: str, registry: Registry, where: str = "--method") -> Preset:
     """Return the published method of this name, else the calibrator, else the matcher.
 
     A matcher without an entry is combined with the extractor, solver and init of its example, else with those of the
-    default recipe. Raises UnknownNameError, with `others` among the known names.
+    default recipe. Raises UnknownNameError.
     """
     published = presets(registry)
     if name in published:
@@ -109,4 +107,4 @@ def preset_of(
         companions = {stage: value for stage in beside if (value := getattr(example, stage))}
         return Preset(name, {word: name, **companions}, parse_settings(example.settings))
     methods = {offer.name for kind in (Kind.CALIBRATOR, Kind.MATCHER) for offer in registry.of_kind(kind)}
-    raise UnknownNameError("method", name, {*published, *methods, *others}, where=where, hint=hint)
+    raise UnknownNameError("method", name, {*published, *methods}, where=where)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from p2o_study.benchmark.suite import Suite
 from p2o_study.row import GIVEN, Row
-from p2o_study.rows import Rows
+from p2o_study.rows import Rows, latest
 from p2o_study.statistics import Statistics
 from p2o_study.study import ALL_JOINT, StudyRow
 
@@ -38,9 +38,9 @@ def read_lines(suite: Suite, results: Rows, *, only_asked: bool = True) -> dict[
     rows: dict[Key, list[Row]] = {key_of(row): [] for row in asked}
     draws = {(key_of(row), row.words.get("perturb") or GIVEN, seed) for row in asked for seed in row.seeds}
     label_of = _external_labels(asked)
-    for row in results.latest(suite.name):
+    for row in latest(results.each(suite.name)):
         key = _key(row.section, label_of(row) if row.method.external else row.row, row.dataset)
-        if (key, row.protocol, row.seed) in draws or row.method.external or not only_asked:
+        if (key, row.case.protocol, row.seed) in draws or row.method.external or not only_asked:
             rows.setdefault(key, []).append(row)
     return {key: Statistics(own, key.label, suite.group_of) for key, own in rows.items() if own}
 
@@ -56,12 +56,13 @@ def _external_labels(asked: Sequence[StudyRow]) -> Callable[[Row], str]:
 
     def label_of(row: Row) -> str:
         known = kinds.get((row.section, row.dataset), set())
-        sizes = {size for size, protocol in known if protocol == row.protocol and bool(size) == bool(row.joint)}
+        case = row.case
+        sizes = {size for size, protocol in known if protocol == case.protocol and bool(size) == bool(case.joint)}
         label = row.row
         if len({size for size, _ in known}) > 1:
             # The last group of a section may be smaller than the others.
-            size = min((size for size in sizes if size >= row.joint), default=ALL_JOINT)
-            label += f", {size} frames" if size > 0 else ", jointly" if row.joint else ", single frames"
-        return f"{label} from {row.protocol}" if len({protocol for _, protocol in known}) > 1 else label
+            size = min((size for size in sizes if size >= case.joint), default=ALL_JOINT)
+            label += f", {size} frames" if size > 0 else ", jointly" if case.joint else ", single frames"
+        return f"{label} from {case.protocol}" if len({protocol for _, protocol in known}) > 1 else label
 
     return label_of

@@ -117,7 +117,7 @@ def _why_stale(cell: Cell, row: Row) -> State:
         return State.DATA
     if row.method.revision != cell.row.method.revision and not row.method.external:
         return State.METHOD
-    starts = cell.row.start, row.start
+    starts = cell.row.case.start, row.case.start
     known = all(start is not None for start in starts)
     same_start = known and np.allclose(*starts, rtol=0, atol=1e-6)  # type: ignore[arg-type]
     return State.FRESH if row.method.external and same_start else State.START

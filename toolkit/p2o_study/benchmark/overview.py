@@ -99,7 +99,7 @@ def _measured(line: Statistics, place: _Place) -> str:
     frames = f"{count} frames jointly" if count > 1 else "single frames"
     frames += f", {line.unmoved} of {line.count} not moved" if line.unmoved else ""
     errors = {norm: line.average(norm) for norm in NORMS}
-    return f"{_errors_text(errors)} ({frames}, {place.data}, from {line.rows[0].protocol}, suite {place.suite})"
+    return f"{_errors_text(errors)} ({frames}, {place.data}, from {line.rows[0].case.protocol}, suite {place.suite})"
 
 
 def _errors_text(values: Mapping[str, float]) -> str:

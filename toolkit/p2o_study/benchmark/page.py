@@ -21,20 +21,17 @@ from p2o.run.recipe import Recipe
 from p2o_study.benchmark.lines import read_lines
 from p2o_study.benchmark.overview import needs_of
 from p2o_study.benchmark.suite import Suite
-from p2o_study.benchmark.tables import NOTE
 from p2o_study.compare import family_of
 from p2o_study.curves import frames_of, method_names, start_error_of
-from p2o_study.report.worst import error_rank
 from p2o_study.row import NORMS, Method
 from p2o_study.rows import Rows
-from p2o_study.statistics import Statistics, top_groups
+from p2o_study.statistics import Statistics, error_rank, top_groups
 from p2o_study.study import DatasetTable
-from p2o_study.tables import FIGURES, RUN_COLUMNS, STATISTICS, error_cell, name_of, unit_of, with_unit
+from p2o_study.tables import ENTRIES, NOTES, RUN_COLUMNS, error_figure, name_of, unit_of, with_unit
 
 INDEX = "index.html"
-MAX_BYTES = 4_000_000
-"""Maximum size of the rows on the page, as JSON: the page stays below 5 MB."""
 MAX_ROWS = 4000
+"""Maximum number of rows on the page, which then stays below 5 MB."""
 EXTERNAL, UNKNOWN = "external", "not installed"
 """Families of methods outside p2o, and of methods that are not installed here."""
 NO_NEEDS = "nothing beyond image and sweep"
@@ -55,23 +52,14 @@ _STARTS = {norm: f"initial {name_of(norm)}" for norm in NORMS}
 def line_columns() -> list[Column]:
     """Return the columns of rows; some are for filters, search and plots only."""
     columns = [Column("method", text=True, hide=0, of=lambda line: cell(line.label, below=line.family))]
-    solved, starts = [], []
     for norm in NORMS:
-        name, (unit, _, digits) = name_of(norm), unit_of(norm)
-        mean, median = (partial(error_cell, metric=norm, statistic=statistic) for statistic in STATISTICS)
-        columns += [
-            Column(f"{name} group", hide=2, looks={"1": "good"}, of=partial(_top_group, norm=norm)),
-            Column(f"{name} mean", unit, digits, hide=0, of=mean),
-            Column(f"{name} median", unit, digits, hide=3, of=median),
-        ]
-        solved.append(Column(f"{name} of solved [{unit}]", off=True, of=partial(_solved, norm=norm)))
-        starts.append(Column(_STARTS[norm], norm.rpartition("_")[2], off=True, of=partial(_start, norm=norm)))
-    figures = {figure.name: figure.column for figure in FIGURES}
+        top = Column(f"{name_of(norm)} group", hide=2, looks={"1": "good"}, of=partial(_top_group, norm=norm))
+        columns += [top, error_figure(norm, "mean", 0).column, error_figure(norm, "median", 3).column]
     renamed = {"runs": "n", "frames": "distinct frames", "groups": "independent groups"}
     return [
         *columns,
-        *(replace(figures[name], name=renamed.get(name, name)) for name in _FIGURES),
-        replace(figures["time [s]"], name="time", unit="s", hide=3),
+        *(replace(ENTRIES[name].column, name=renamed.get(name, name)) for name in _FIGURES),
+        replace(ENTRIES["time [s]"].column, name="time", unit="s", hide=3),
         Column("suite", off=True, of=lambda line: line.suite),
         Column("data set", off=True, of=lambda line: line.data_title),
         Column("initial error", off=True, of=lambda line: line.protocol),
@@ -80,10 +68,9 @@ def line_columns() -> list[Column]:
         Column("needs", off=True, of=lambda line: line.needs or [NO_NEEDS]),
         Column("method words", off=True, of=lambda line: ", ".join(f"{k} {v}" for k, v in line.method.words.items())),
         Column("source", off=True, of=lambda line: line.method.source or None),
-        *solved,
         Column("name", off=True, of=lambda line: line.name),
         Column("compared", off=True, of=lambda line: cell(line.heading, line.heading, line.question)),
-        *starts,
+        *(Column(_STARTS[n], n.rpartition("_")[2], off=True, of=partial(_start, norm=n)) for n in NORMS),
     ]
 
 
@@ -93,34 +80,19 @@ _FIGURES = (
 )
 
 
-def _top_group(line: _Line, norm: str) -> int | None:
+def _top_group(line: Line, norm: str) -> int | None:
     return line.top_group[norm]
 
 
-def _start(line: _Line, norm: str) -> float | None:
+def _start(line: Line, norm: str) -> float | None:
     return brief(start_error_of(line, norm))
-
-
-def _solved(line: _Line, norm: str) -> Any:
-    mean, (_, factor, digits) = line.solved_only.mean(norm), unit_of(norm)
-    return None if mean is None else cell(brief(factor * mean.value), html.number_text(factor * mean.value, digits))
 
 
 # ---- the page
 
 
-@dataclass(frozen=True)
-class Written:
-    """What was written: the page, the number of its rows, of those left out, and of the single runs."""
-
-    path: Path
-    rows: int
-    left_out: int
-    runs: int
-
-
 @dataclass(frozen=True, eq=False)
-class _Line(Statistics):
+class Line(Statistics):
     """One row of the page: the runs of a label on one dataset from one initial error, in a suite with its question.
 
     `name` is the common name of the rows of its method, `data_title` the dataset with its sensors, `top_group` its top
@@ -145,7 +117,7 @@ class _Line(Statistics):
 
     @property
     def protocol(self) -> str:
-        return self.rows[0].protocol
+        return self.rows[0].case.protocol
 
     @property
     def frames_text(self) -> str:
@@ -172,65 +144,47 @@ def write_page(
     *,
     cards: Callable[[DatasetTable], Mapping[str, Card]] = lambda table: {},
     on_suite: Callable[[str], None] = lambda name: None,
-) -> Written:
-    """Write the page of suites, and a file for the runs of each row, to a folder, and return what was written.
+) -> tuple[list[Line], int]:
+    """Write the page of suites, and a file for the runs of each row, to a folder; return its rows and those left out.
 
     The page needs no server and loads nothing but these files. It opens with the suite that compares most families.
-    It stays below 5 MB: rows beyond `MAX_BYTES` or `MAX_ROWS` are left out, which it states. `cards` returns the data
-    cards of a dataset of a suite by title. Raises InputError if the folder cannot be written.
+    Rows beyond `MAX_ROWS` are left out, which it states. `cards` returns the data cards of a dataset of a suite by
+    title. Raises InputError if the folder cannot be written.
     """
     html.prepare_data(folder)
-    shared, columns = html.Shared(), line_columns()
-    shown: list[_Line] = []
-    rows: list[list[Any]] = []
-    opens = []
-    described: dict[str, Card] = {}
-    size = left_out = 0
+    shared, lines = html.Shared(), list[Line]()
+    cards_of = {suite.name: {table.name: cards(table) for table in suite.dataset} for suite in suites}
     for suite in suites:
         on_suite(suite.name)
-        own = {table.name: cards(table) for table in suite.dataset}
-        for lines in _compared(suite, results, own, registry):
-            chosen = lines[: MAX_ROWS - len(rows)] if size < MAX_BYTES else []
-            for norm in NORMS:
-                for line, group in zip(chosen, top_groups([line.mean(norm) for line in chosen]), strict=True):
-                    line.top_group[norm] = group
-            for line in chosen:
-                cells = html.cells(columns, line)
-                size += len(json.dumps(cells))
-                if size > MAX_BYTES:
-                    break
-                file = f"{suite.name}-{len(rows)}"
-                known = own.get(line.dataset, {})
-                facts = [_card(shared, title, card) for title, card in known.items()]
-                html.write_data(folder, file, [[*facts, _runs(line, shared)]])
-                opens.append(html.detail_of_file(f"{line.label}: {line.heading}", file))
-                described |= known
-                shown.append(line)
-                rows.append(cells)
-                left_out -= 1
-            left_out += len(lines)
+        lines += _compared(suite, results, cards_of[suite.name], registry)
+    shown, left_out = lines[:MAX_ROWS], len(lines[MAX_ROWS:])
+    opens, described = [], dict[str, Card]()
+    for number, line in enumerate(shown):
+        known = cards_of[line.suite].get(line.dataset, {})
+        described |= known
+        file = f"{line.suite}-{number}"
+        html.write_data(folder, file, [[*(_card(shared, *one) for one in known.items()), _runs(line, shared)]])
+        opens.append(html.detail_of_file(f"{line.label}: {line.heading}", file))
     families = {suite.name: {line.family for line in shown if line.suite == suite.name} for suite in suites}
     first = max(families, key=lambda name: len(families[name]), default="")
-    filters = ["data set", "initial error", "frames", "family", "needs"]
     table = html.table(
-        [replace(column, of=None) for column in columns],
-        rows,
+        line_columns(),
+        shown,
         name="rows",
         search=True,
-        filters=[("suite", first), *filters] if shown else (),
+        filters=[("suite", first), "data set", "initial error", "frames", "family", "needs"] if shown else (),
         group="compared",
         opens=opens,
         counted=" rows",
     )
-    left = f"The page has the first {len(rows)} rows; {left_out} further ones are left out." if left_out else ""
+    left = f"The page has the first {len(shown)} rows; {left_out} further ones are left out." if left_out else ""
     data = [_card(shared, title, card) for title, card in described.items()]
     blocks = _blocks([line for line in shown if line.suite == first], table, data, left)
-    page = html.page("p2o benchmark", blocks, shared=shared, script_files=True)
-    write_whole(folder / INDEX, page.encode())
-    return Written(folder / INDEX, len(rows), left_out, sum(len(line.rows) for line in shown))
+    write_whole(folder / INDEX, html.page("p2o benchmark", blocks, shared=shared, script_files=True).encode())
+    return shown, left_out
 
 
-def _blocks(first: Sequence[_Line], table: Block, data: Sequence[Block], left: str) -> list[Block]:
+def _blocks(first: Sequence[Line], table: Block, data: Sequence[Block], left: str) -> list[Block]:
     """Return the page: the families of the `first` suite, the rows of all, plots, data cards and notes."""
     head = "Errors of camera-LiDAR calibration, computed from poses. Select a row to see its runs."
     note = (
@@ -244,7 +198,7 @@ def _blocks(first: Sequence[_Line], table: Block, data: Sequence[Block], left: s
         html.section("Rows", table),
         html.section("Errors", plots, html.text(note, "quiet")),
         *([html.section("Data", *data)] if data else []),
-        html.section("How to read it", *(html.text(text, "quiet") for text in (GROUPS_NOTE, NOTE))),
+        html.section("How to read it", *(html.text(text, "quiet") for text in (GROUPS_NOTE, *NOTES))),
     ]
 
 
@@ -255,7 +209,7 @@ def _card(shared: html.Shared, title: str, card: Card) -> Block:
     )
 
 
-def _runs(line: _Line, shared: html.Shared) -> Block:
+def _runs(line: Line, shared: html.Shared) -> Block:
     """Return the runs of a row, those with the largest errors first."""
     rows = sorted(line.rows, key=error_rank, reverse=True)
     table = html.table(
@@ -268,9 +222,9 @@ def _runs(line: _Line, shared: html.Shared) -> Block:
     return html.section("Runs", table)
 
 
-def _families(lines: Sequence[_Line]) -> Block:
+def _families(lines: Sequence[Line]) -> Block:
     """Return the methods of a suite by family: their mean errors in each comparison."""
-    by_method: dict[tuple[str, str], dict[str, _Line]] = {}
+    by_method: dict[tuple[str, str], dict[str, Line]] = {}
     for line in lines:
         by_method.setdefault((line.family, line.name), {})[line.heading] = line
     keys = sorted(by_method, key=lambda key: key[0])
@@ -286,7 +240,7 @@ def _families(lines: Sequence[_Line]) -> Block:
     return html.section("Methods by family", question, table, html.text(guide, "quiet"))
 
 
-def _both_means(by_method: Mapping[Any, Mapping[str, _Line]], heading: str, key: tuple[str, str]) -> Any:
+def _both_means(by_method: Mapping[Any, Mapping[str, Line]], heading: str, key: tuple[str, str]) -> Any:
     line = by_method[key].get(heading)
     means = {} if line is None else {norm: mean for norm in NORMS if (mean := line.mean(norm)) is not None}
     texts = [with_unit(mean.value, norm) for norm, mean in means.items()]
@@ -313,15 +267,13 @@ def _plots(norm: str) -> Block:
     return plot_of_table("rows", panels)
 
 
-def _compared(
-    suite: Suite, results: Rows, cards: Mapping[str, Mapping[str, Card]], registry: Registry
-) -> list[list[_Line]]:
-    """Return the rows of a suite, one list for all that are compared with each other; `cards` are those of datasets."""
+def _compared(suite: Suite, results: Rows, cards: Mapping[str, Mapping[str, Card]], registry: Registry) -> list[Line]:
+    """Return the rows of a suite, those that are compared in succession; `cards` are those of datasets."""
     about: dict[str, tuple[str, list[str]]] = {}
     known = []
     for line in read_lines(suite, results, only_asked=False).values():
         for protocol in line.protocols:
-            rows = [row for row in line.rows if row.protocol == protocol]
+            rows = [row for row in line.rows if row.case.protocol == protocol]
             method, dataset = rows[-1].method, rows[0].dataset
             label = line.label if method.external else rows[0].row
             sensors = sorted({card["sensor"] for card in cards.get(dataset, {}).values() if card.get("sensor")})
@@ -331,7 +283,7 @@ def _compared(
                 about[key] = _family_and_needs(method, registry)
             family, needs = about[key]
             known.append(
-                _Line(
+                Line(
                     rows,
                     label,
                     suite.group_of,
@@ -344,7 +296,12 @@ def _compared(
             )
     lines = [replace(line, name=name) for line, name in zip(known, method_names(known), strict=True)]
     lines.sort(key=lambda line: line.comparable)
-    return [list(some) for _, some in groupby(lines, key=lambda line: line.comparable)]
+    for _, some in groupby(lines, key=lambda line: line.comparable):
+        own = list(some)
+        for norm in NORMS:
+            for line, group in zip(own, top_groups([line.mean(norm) for line in own]), strict=True):
+                line.top_group[norm] = group
+    return lines
 
 
 def _family_and_needs(method: Method, registry: Registry) -> tuple[str, list[str]]:

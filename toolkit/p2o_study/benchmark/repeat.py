@@ -60,7 +60,7 @@ def command_of(asked: StudyRow, row: Row) -> str:
     for stage, values in options.items():
         for name, value in values.items():
             words += ["--set", f"{stage}.{name}={_text(value)}"]
-    words += ["--seed", str(row.seed), *(["--joint"] if row.joint else [])]
+    words += ["--seed", str(row.seed), *(["--joint"] if row.case.joint else [])]
     return join(words)
 
 

@@ -114,7 +114,8 @@ def score(
         where = f"{path}:{number}"
         key = values["group"], values["protocol"], _seed(values["seed"], where)
         if key not in starts:
-            _raise_unknown(key, starts, where)
+            names = (", ".join(map(str, start)) for start in starts)
+            raise UnknownNameError("calibration", ", ".join(map(str, key)), names, where=where)
         if key in lines:
             text = f"a second pose for {key[0]}, {key[1]}, seed {key[2]}"
             raise InputError(text, where=where, expected="one line each", got=f"the first in line {lines[key]}")
@@ -171,19 +172,6 @@ def _seed(text: str, where: str) -> int:
     if not re.fullmatch("[0-9]{1,10}", text.strip()):
         raise InputError("the seed is not valid", where=where, expected="a whole number", got=repr(text))
     return int(text)
-
-
-def _raise_unknown(key: Key, starts: Mapping[Key, Start], where: str) -> None:
-    """Raise the error for a key that the suite lacks: the first part that is unknown."""
-    group, protocol, seed = key
-    groups = {start[0] for start in starts}
-    if group not in groups:
-        raise UnknownNameError("group", group, groups, where=where)
-    protocols = {start[1] for start in starts if start[0] == group}
-    if protocol not in protocols:
-        raise UnknownNameError("protocol", protocol, protocols, where=where)
-    seeds = sorted(start[2] for start in starts if start[:2] == key[:2])
-    raise InputError("unknown seed", where=where, expected=f"one of {', '.join(map(str, seeds[:20]))}", got=seed)
 
 
 def pose_in(values: Mapping[str, str], where: str) -> Float | None:

@@ -16,12 +16,12 @@ from p2o_study.benchmark.suite import Suite
 from p2o_study.curves import curves, frames_of
 from p2o_study.row import GIVEN, NORMS
 from p2o_study.rows import Rows
-from p2o_study.statistics import FRAMES_TEXT, MIN_FRAMES, WRONG_TEXT, Statistics
+from p2o_study.statistics import Statistics
 from p2o_study.study import Published, limits_of
 from p2o_study.tables import (
     NONE,
     Cell,
-    Entry,
+    Figure,
     Table,
     entries_by_default,
     entries_of,
@@ -151,7 +151,7 @@ class SuiteTables:
             text += [*([""] if lines else []), f"Rows not measured: {missing}."]
         return "\n".join([*text, ""])
 
-    def _entries(self, rows: Sequence[Statistics], choice: Choice, *, several_starts: bool) -> list[Entry]:
+    def _entries(self, rows: Sequence[Statistics], choice: Choice, *, several_starts: bool) -> list[Figure]:
         """Return the columns of a table."""
         if choice.columns not in (("all",), ("brief",)):
             return entries_of(choice.columns, str(self.suite.file))
@@ -230,18 +230,6 @@ def _ties(methods: Mapping[str, Mapping[int, Statistics]], sizes: Sequence[int],
         ]
         tied.append(f"with {size} frame{'s' * (size > 1)} {', '.join(names) or 'none'}")
     return f"Within the accuracy of the reference ({_size_text(reference)}) of the smallest errors: {'; '.join(tied)}."
-
-
-NOTE = (
-    "Runs are calibrations, frames distinct frames, groups independent ones (frames or drives). In brackets: 95 % "
-    f"interval by bootstrap over groups, none for fewer than {MIN_FRAMES}. Means and medians contain refused "
-    "calibrations with the error of their initial guess; solved only: the mean without them. False accepts: trusted "
-    f"results {WRONG_TEXT}; outside 95 %: trusted results whose error exceeds their own 95 % bound; of both, "
-    f"{FRAMES_TEXT}. Coverage: rotation errors, then translation errors, within the predicted ones. Not moved: results "
-    "that are the initial guess. Per axis: the mean over three axes of absolute errors. Published rows are as printed "
-    "in their source. Methods whose intervals overlap have no order."
-)
-"""How to read the tables."""
 
 
 def rows_text(tables: Callable[[str], SuiteTables]) -> Writer:

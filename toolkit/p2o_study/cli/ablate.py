@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from p2o_study.ablate import Ablation, Progress
     from p2o_study.gate import Reference
     from p2o_study.parallel import Workers
-    from p2o_study.row import Row
-    from p2o_study.rows import PlanRow
     from p2o_study.study import Study
     from p2o_study.worker import Plugins
 
@@ -136,27 +134,23 @@ def command(
 
     from p2o.runtime.native import available_cores
 
-    from p2o_study.ablate import parse_seeds
+    from p2o_study.ablate import ablate, parse_seeds
     from p2o_study.gate import read_reference
     from p2o_study.parallel import Workers
     from p2o_study.study import find_study
-    from p2o_study.tables import entries_of
+    from p2o_study.summary import summarised
+    from p2o_study.tables import entries_of, terminal_text
 
     entries_of(columns, "--columns")  # before any work
     shipped = find_study(study, plugins.registry())
     overridden = shipped.overridden(**data, seeds=None if seeds is None else parse_seeds(seeds))
     reference = read_reference(gate) if gate is not None and (not update or Path(gate).exists()) else None
     folder = Path("p2o-out") / overridden.name if out is None else Path(out)
-    done = _ablated(
-        overridden,
-        folder,
-        quiet,
-        plugins=plugins,
-        workers=Workers(available_cores() if jobs is None else jobs, backend, address, isolate),
-        at_most=at_most,
-    )
+    workers = Workers(available_cores() if jobs is None else jobs, backend, address, isolate)
+    with session_words(plugins, workers, quiet) as session:
+        done = ablate(overridden, folder, at_most=at_most, **session)
     if done.rows:
-        _print_table(overridden, done.rows, done.missing, columns)
+        click.echo(f"{overridden.title}\n{terminal_text(summarised(overridden, done.rows, done.missing), columns)}")
     if done.rows and report:
         from p2o_study.report import write_report
 
@@ -168,35 +162,6 @@ def command(
     if gate is None:
         return 1 if any(row.crashed for row in done.rows) or done.missing else 0
     return _gated(gate, overridden, done, reference, update=update)
-
-
-def _ablated(study: Study, folder: Path, quiet: bool, **words: Any) -> Ablation:
-    """Run a study with progress; print the finished rows if an error ends it while it is computing."""
-    from p2o_study.ablate import ablate
-    from p2o_study.rows import Rows
-
-    phases: set[str] = set()
-    try:
-        with progress_shown(quiet) as (say, warn):
-
-            def on_progress(progress: Progress) -> None:
-                phases.add(progress.phase)
-                say(progress)
-
-            return ablate(study, folder, on_progress=on_progress, on_warning=warn, **words)
-    except (P2OError, OSError):
-        with contextlib.suppress(P2OError, OSError):
-            if "calibrate" in phases and (rows := (stored := Rows(folder)).planned(study.name)):
-                _print_table(study, rows, stored.missing(study.name))
-                click.echo(f"p2o: {len(rows)} rows are kept in {printable(folder)}", err=True)
-        raise
-
-
-def _print_table(study: Study, rows: Sequence[Row], missing: Sequence[PlanRow], columns: Sequence[str] = ()) -> None:
-    from p2o_study.summary import summarised
-    from p2o_study.tables import terminal_text
-
-    click.echo(f"{study.title}\n{terminal_text(summarised(study, rows, missing), columns)}")
 
 
 def _gated(gate: str, study: Study, done: Ablation, reference: Reference | None, *, update: bool) -> int:
@@ -251,10 +216,11 @@ _PHASES = {"read": "reading frames", "extract": "extracting features", "calibrat
 
 
 @contextlib.contextmanager
-def progress_shown(quiet: bool) -> Iterator[tuple[Callable[[Progress], None], Callable[[str], None]]]:
-    """Yield functions that show progress and warnings on stderr: a status line on a terminal, lines elsewhere.
+def session_words(plugins: Plugins, workers: Workers, quiet: bool) -> Iterator[dict[str, Any]]:
+    """Yield the words of a session that computes (`p2o_study.ablate.open_session`), and show its progress on stderr.
 
-    The lines are those at the end of a phase and every few seconds. With `quiet` only warnings are shown.
+    Progress is a status line on a terminal, elsewhere a line at the end of a phase and every few seconds. With `quiet`
+    only warnings are shown.
     """
     last = time.monotonic()
     with status_line("reading the study", quiet=quiet) as show:
@@ -276,11 +242,5 @@ def progress_shown(quiet: bool) -> Iterator[tuple[Callable[[Progress], None], Ca
         def warn(text: str) -> None:
             click.echo(f"p2o: warning: {printable(text)}", err=True)
 
-        yield (lambda progress: None) if quiet else say, warn
-
-
-@contextlib.contextmanager
-def session_words(plugins: Plugins, workers: Workers, quiet: bool) -> Iterator[dict[str, Any]]:
-    """Yield the words of a session that computes (`p2o_study.ablate.open_session`), and show its progress."""
-    with progress_shown(quiet) as (say, warn):
-        yield {"plugins": plugins, "workers": workers, "on_progress": say, "on_warning": warn}
+        on_progress = (lambda progress: None) if quiet else say
+        yield {"plugins": plugins, "workers": workers, "on_progress": on_progress, "on_warning": warn}

@@ -206,7 +206,8 @@ def _status_text(status: SuiteStatus) -> str:
     lines = [f"{status.suite}: {', '.join(counts) or 'no rows'}"]
     if status.unchecked:
         lines.append(f"  without data (--root DIR or --data), compared by method only: {', '.join(status.unchecked)}")
-    lines += _listed([f"  {state}: {r.row}, {r.place}, {r.protocol}, seed {r.seed}" for r, state in status.outdated])
+    outdated = [(state, row, row.case.protocol) for row, state in status.outdated]
+    lines += _listed([f"  {state}: {row.row}, {row.place}, {start}, seed {row.seed}" for state, row, start in outdated])
     return "\n".join(map(printable, lines))
 
 
@@ -237,7 +238,7 @@ def prune(bench: _Bench, suite: str, dry_run: bool, as_json: bool) -> int:
         removable = [{**row.named(), "finished": row.finished} for row in rows]
         print_json({"suite": file.name, "dry_run": dry_run, "rows": removable, "unused": unused})
         return 0
-    lines = _listed([f"  {row.row}, {row.dataset} {row.place}, {row.protocol}, seed {row.seed}" for row in rows])
+    lines = _listed([f"  {row.row}, {row.dataset} {row.place}, {row.case.protocol}, seed {row.seed}" for row in rows])
     counts = f"{len(rows)} rows" + (f" and {unused} unused frames, cases, methods and environments" if unused else "")
     done = "would be removed" if dry_run else "removed"
     click.echo("\n".join(map(printable, [*lines, f"{file.name}: {counts} {done}; {bench.rows.path(file.name)}"])))
@@ -394,11 +395,13 @@ def table(
     p2o benchmark table smoke --commands
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
     from p2o_study.benchmark.repeat import repeat_text
-    from p2o_study.benchmark.tables import NOTE, Choice
+    from p2o_study.benchmark.tables import Choice
+    from p2o_study.rows import latest
+    from p2o_study.tables import NOTES
 
     tables = bench.tables()(suite)
     if commands:
-        rows = [row for row in bench.rows.latest(tables.suite.name) if section in (None, row.section)]
+        rows = [row for row in latest(bench.rows.each(tables.suite.name)) if section in (None, row.section)]
         if not rows:
             expected = f"rows of {suite}" + ("" if section is None else f", section {section}")
             hint = "p2o benchmark run measures them; --results names another folder"
@@ -406,7 +409,7 @@ def table(
         click.echo(repeat_text(tables.suite.all_rows(), rows))
         return 0
     click.echo(tables.markdown(Choice(section=section, columns=columns or ("all",))))
-    click.echo(NOTE)
+    click.echo("\n".join(NOTES))
     if figures is not None:
         from p2o_study.report import write_figures
         from p2o_study.report.figures import figures_over
@@ -431,12 +434,12 @@ def page(bench: _Bench, out: str, cards: str) -> int:
     p2o benchmark page --out p2o-out/benchmark/page
     """  # noqa: D301  (click wants a real backspace: the examples keep their lines)
     from p2o_study.benchmark.card import read_cards
-    from p2o_study.benchmark.page import write_page
+    from p2o_study.benchmark.page import INDEX, write_page
 
     registry = bench.plugins.registry()
     tell = (lambda name: None) if bench.quiet else (lambda name: click.echo(f"suite {name}", err=True))
     known = read_cards(Path(cards)).values()
-    written = write_page(
+    shown, left_out = write_page(
         list(bench.opened()),
         bench.rows,
         Path(out),
@@ -444,8 +447,8 @@ def page(bench: _Bench, out: str, cards: str) -> int:
         cards=lambda table: {card.title: card.facts for card in known if card.covers(table)},
         on_suite=tell,
     )
-    left_out = f", {written.left_out} rows left out" if written.left_out else ""
-    click.echo(f"wrote {written.path}: {written.rows} rows, {written.runs} runs{left_out}")
+    left = f", {left_out} rows left out" if left_out else ""
+    click.echo(f"wrote {Path(out) / INDEX}: {len(shown)} rows, {sum(line.count for line in shown)} runs{left}")
     return 0
 
 

@@ -14,7 +14,7 @@ from p2o_study.compare import BLIND, Comparison
 from p2o_study.comparison import Standing
 from p2o_study.row import NORMS
 from p2o_study.statistics import Statistics
-from p2o_study.tables import FIGURES, aligned, shown, text_of, unit_of
+from p2o_study.tables import ENTRIES, aligned, shown, text_of, unit_of
 
 _LENGTHS = {
     "repeatability": "repeatability",
@@ -59,9 +59,13 @@ def ranking_columns(comparison: Comparison) -> list[Column]:
     ]
     return [
         *columns,
-        Column("failed", hide=1, of=lambda s: _figure("not solved", outcomes[s.name])),
-        *([Column("not moved", hide=1, of=lambda s: _figure("not moved", outcomes[s.name]))] if stuck else []),
-        Column("time", "s", hide=4, of=lambda s: _figure("time [s]", outcomes[s.name])),
+        Column("failed", hide=1, of=lambda s: ENTRIES["not solved"].page_cell(outcomes[s.name])),
+        *(
+            [Column("not moved", hide=1, of=lambda s: ENTRIES["not moved"].page_cell(outcomes[s.name]))]
+            if stuck
+            else []
+        ),
+        Column("time", "s", hide=4, of=lambda s: ENTRIES["time [s]"].page_cell(outcomes[s.name])),
         *(
             Column(_ERROR, *unit_of(norm)[::2], hide=3, of=partial(_error, outcomes=outcomes, norm=norm))
             for norm in NORMS
@@ -78,11 +82,6 @@ def _held_out(standing: Standing, judge: str, shared: Mapping[str, bool]) -> Any
     """Return the held-out cost; a * marks a judge that shares features with the method."""
     first, *below = shown(standing.figures[judge], "px_deg").split(" ", 1)
     return cell(brief(standing.figures[judge].value), first + "*" * shared[standing.name], *below)
-
-
-def _figure(name: str, outcome: Statistics) -> Any:
-    of = next(figure.column.of for figure in FIGURES if figure.name == name)
-    return None if of is None else of(outcome)
 
 
 def _error(standing: Standing, outcomes: Mapping[str, Statistics], norm: str) -> float | None:

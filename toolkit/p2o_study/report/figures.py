@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from p2o.arrays import Float
@@ -14,7 +14,7 @@ from p2o.page.plot import Axis, Figure, Panel, Series
 
 from p2o_study.curves import Over, curves, frames_of, start_error_of
 from p2o_study.row import NORMS, Row
-from p2o_study.statistics import Statistics
+from p2o_study.statistics import Statistics, error_rank
 from p2o_study.summary import Group, Summary
 from p2o_study.tables import name_of, unit_of
 
@@ -22,7 +22,8 @@ _MOST_NAMES = 80
 _MOST_ROWS = 200
 """Maximum number of rows in a figure: more are not legible, and an image has at most 65535 px."""
 _LONGEST_TITLE = 150
-Opens = Mapping[int, int]
+_MOST_POINTS = 2000
+"""Maximum number of points of the plot of errors by frame: rows times frames."""
 
 
 # ---- values
@@ -33,20 +34,11 @@ MUCH = 20.0
 RULE = f"An axis is logarithmic where the median size of one row is over {MUCH:g} times that of another."
 
 
-@dataclass(frozen=True, eq=False)
-class Convergence:
-    """Lower quartile, median and upper quartile (3, rounds) over `runs` runs of matches and of mean residuals in px."""
-
-    runs: int
-    matches: Float
-    residual_px: Float
-
-
-def convergence_of(runs: Iterable[Row]) -> Convergence | None:
-    """Return the convergence of runs; None if no run has rounds of matching and solving.
+def convergence_of(runs: Iterable[Row]) -> tuple[int, Float] | None:
+    """Return how many runs have rounds, and quartiles (2, 3, rounds) of matches and of mean residuals in px.
 
     A run that has ended is continued with the values of its last round; otherwise the last rounds would represent the
-    slowest runs only.
+    slowest runs only. None if no run has rounds of matching and solving.
     """
     # The round of an initializer has no matches.
     solved = [[r for r in run.rounds if math.isfinite(r.mean_residual) and r.matches] for run in runs]
@@ -55,8 +47,7 @@ def convergence_of(runs: Iterable[Row]) -> Convergence | None:
         return None
     last = range(max(map(len, values)))
     quartiles = np.array([np.quantile([v[min(i, len(v) - 1)] for v in values], QUARTILES, axis=0) for i in last])
-    matches, residual_px = np.moveaxis(quartiles, (2, 1), (0, 1))
-    return Convergence(len(values), matches, residual_px)
+    return len(values), np.moveaxis(quartiles, (2, 1), (0, 1))
 
 
 def differ_much(rows: Iterable[Float]) -> bool:
@@ -90,12 +81,11 @@ def errors_of(row: Statistics, metric: str) -> Float:
     return unit_of(metric)[1] * row.signed(metric)
 
 
-def boxes(group: Group, metric: str, *, log: bool, opens: Opens | None = None, reach: float | None = None) -> Panel:
+def boxes(group: Group, metric: str, *, log: bool, reach: float | None = None) -> Panel:
     """Return the errors of a metric as box plots, one per row.
 
-    On a logarithmic axis they are absolute. With `opens`, runs beyond the whiskers are points that open the row of a
-    table that shows them, by the id of the run; with `reach` the axis is limited to this error, and its title counts
-    the runs beyond.
+    On a logarithmic axis they are absolute. With `reach` the axis is limited to this error, and its title counts the
+    runs beyond.
     """
     values = [errors_of(row, metric) for row in group.measured]
     labels = [f"{row.label} (n = {len(own)})" for row, own in zip(group.measured, values, strict=True)]
@@ -106,13 +96,12 @@ def boxes(group: Group, metric: str, *, log: bool, opens: Opens | None = None, r
     for number, (row, errors) in enumerate(zip(group.measured, shown, strict=True)):
         if len(errors):
             series.append(Series(row.label, [box_of(errors)], [number], "box"))
-            series += [] if opens is None else [_beyond(group, metric, number, box_of(errors), opens, log=log)]
     beyond = 0 if reach is None else sum(int((np.abs(errors) > reach).sum()) for errors in shown)
     if beyond:
         title += f"; {beyond} of {sum(map(len, shown))} runs beyond"
     ends = () if reach is None else (-reach, reach)
     axis = Axis(title, log=log, low=min(ends, default=None), high=max(ends, default=None))
-    return Panel(axis, Axis(names=labels), series, opens="runs" if opens else "", marks=() if log else (0.0,))
+    return Panel(axis, Axis(names=labels), series, marks=() if log else (0.0,))
 
 
 def box_of(values: Float) -> list[float]:
@@ -123,70 +112,48 @@ def box_of(values: Float) -> list[float]:
     return [float(value) for value in (inner.min(), low, middle, high, inner.max())]
 
 
-def _beyond(group: Group, metric: str, number: int, box: Sequence[float], opens: Opens, *, log: bool) -> Series:
-    """Return the runs of a row beyond its whiskers that a table shows, as small points."""
-    label, runs = group.measured[number].label, group.measured[number].rows
-    points = []
-    for run in runs:
-        row, value = opens.get(id(run)), run.error_of(metric)
-        if row is not None and value is not None:
-            size = unit_of(metric)[1] * (abs(value) if log else value)
-            if not box[0] <= size <= box[-1]:
-                points.append((size, f"{run.place}, seed {run.seed}", row))
-    sizes, texts, rows = zip(*points, strict=True) if points else ((), (), ())
-    return Series(label, sizes, [number] * len(sizes), text=texts, opens=rows, size=0.6)
-
-
-def by_frame(group: Group, metric: str, places: Sequence[str], opens: Opens | None = None) -> Panel:
-    """Return median and range of the errors over the seeds of each of these frames; points open the worst run."""
+def by_frame(group: Group, metric: str, places: Sequence[str]) -> Panel:
+    """Return median and range of the errors over the seeds of each of these frames."""
     numbers = {place: number for number, place in enumerate(places)}
     series = []
     for row, measured in enumerate(group.measured):
-        label, runs = measured.label, measured.rows
-        by_place: dict[str, list[tuple[float, int]]] = {place: [] for place in places}
-        for run in runs:
+        by_place: dict[str, list[float]] = {place: [] for place in places}
+        for run in measured.rows:
             value = run.error_of(metric)
             if value is not None and run.place in by_place:
-                by_place[run.place].append((unit_of(metric)[1] * abs(value), id(run)))
-        known = {place: sorted(own, key=lambda one: one[0]) for place, own in by_place.items() if own}
+                by_place[run.place].append(unit_of(metric)[1] * abs(value))
+        known = {place: own for place, own in by_place.items() if own}
         offset = 0.7 * ((row + 0.5) / len(group.measured) - 0.5)
         if known:
-            spread = np.array([np.quantile([v for v, _ in values], (0, 0.5, 1)) for values in known.values()]).T
-            worst = [] if opens is None else [opens.get(values[-1][1]) for values in known.values()]
+            low, middle, high = np.array([np.quantile(own, (0, 0.5, 1)) for own in known.values()]).T.tolist()
             at = [numbers[place] + offset for place in known]
-            low, middle, high = spread.tolist()
-            series.append(Series(label, middle, at, low=low, high=high, along="x", opens=worst))
+            series.append(Series(measured.label, middle, at, low=low, high=high, along="x"))
     axis = Axis(f"{name_of(metric)} error [{unit_of(metric)[0]}]", log=True)
-    return Panel(axis, Axis(names=places), series, opens="runs" if opens else "")
-
-
-def _ranked(group: Group, metric: str) -> Panel:
-    """Return the number of frames with at most an error, the median of their seeds."""
-    series = [
-        replace(one, x=sorted(one.x), y=range(1, len(one.x) + 1), form="line", low=(), high=())
-        for one in by_frame(group, metric, _places(group)).series
-    ]
-    title = f"{name_of(metric)} error [{unit_of(metric)[0]}]: median of the seeds"
-    return Panel(Axis(title, log=True), Axis("frames with at most this error", zero=True), series)
+    return Panel(axis, Axis(names=places), series)
 
 
 def rounds(group: Group) -> list[Panel]:
     """Return matches and residual by round over all runs of a row: medians, with quartiles as bands."""
-    known = [(row.label, history) for row in group.measured if (history := convergence_of(row.rows)) is not None]
+    known = [(row.label, *history) for row in group.measured if (history := convergence_of(row.rows)) is not None]
     panels = []
-    for title, name in (("matches", "matches"), ("mean residual [px]", "residual_px")):
-        log = differ_much(getattr(history, name)[1, -1:] for _, history in known)
+    for number, title in enumerate(("matches", "mean residual [px]")):
+        log = differ_much(quartiles[number, 1, -1:] for _, _, quartiles in known)
         series = []
-        for label, history in known:
-            low, middle, high = getattr(history, name).tolist()
-            named, count = f"{label} ({history.runs} runs)", range(1, len(middle) + 1)
+        for label, runs, quartiles in known:
+            low, middle, high = quartiles[number].tolist()
+            named, count = f"{label} ({runs} runs)", range(1, len(middle) + 1)
             series.append(Series(named, count, middle, "line", low=low, high=high, band=True))
         panels.append(Panel(Axis("round", whole=True), Axis(title, log=log, zero=not log), series))
     return panels if known else []
 
 
-def _places(group: Group) -> list[str]:
-    return list(dict.fromkeys(run.place for row in group.measured for run in row.rows))
+def places_of(group: Group, most: int) -> list[str]:
+    """Return the frames with the largest errors, at most this number, in the order of the runs."""
+    largest: dict[str, float] = {}
+    for run in (run for row in group.measured for run in row.rows):
+        largest[run.place] = max(largest.get(run.place, -1.0), error_rank(run)[0])
+    kept = set(sorted(largest, key=lambda place: -largest[place])[:most])
+    return [place for place in largest if place in kept]
 
 
 # ---- figures in files
@@ -208,25 +175,26 @@ def figure_names(summaries: Sequence[Summary]) -> list[tuple[str, ...]]:
     return names_of_groups
 
 
+def group_figures(group: Group, summary: Summary) -> Iterator[tuple[str, str, str, Figure]]:
+    """Yield kind, title, explanation and figure of each figure of a group that has data, of many rows the first."""
+    some = f" (the first {_MOST_ROWS} rows of {len(group.measured)})" if len(group.measured) > _MOST_ROWS else ""
+    shown = Group(group.heading, group.measured[:_MOST_ROWS])
+    for kind, title, note, draw in _KINDS:
+        figure = draw(shown, summary)
+        if any(panel.series for panel in figure.panels):
+            yield kind, f"{title}{some}", note, figure
+
+
 def figures_of(summary: Summary, names: Sequence[str] = ()) -> Iterator[tuple[str, str, Figure]]:
     """Yield (file name without suffix, title, figure) of all figures of a study that have data.
 
     `names` are those of `figure_names`, one per group (default: those of this study alone).
     """
-    kinds = (
-        ("boxplot", "errors by axis", _axes_figure),
-        ("convergence", "convergence", _rounds_figure),
-        ("frames", "errors by frame", _frames_figure),
-    )
-    for name, whole in zip(names or figure_names([summary])[0], summary.groups, strict=True):
-        group = Group(whole.heading, whole.measured[:_MOST_ROWS])
-        title = f"{summary.title}: {group.heading}" if group.heading else summary.title
-        some = f" (the first {_MOST_ROWS} rows of {len(whole.measured)})" if len(whole.measured) > _MOST_ROWS else ""
-        for kind, what, draw in kinds:
-            figure = draw(group, summary)
-            if any(panel.series for panel in figure.panels):
-                text = f"{_cut(title, _LONGEST_TITLE)}: {what}{some}"
-                yield f"{name}-{kind}", text, replace(figure, title=text)
+    for name, group in zip(names or figure_names([summary])[0], summary.groups, strict=True):
+        heading = f"{summary.title}: {group.heading}" if group.heading else summary.title
+        for kind, title, _, figure in group_figures(group, summary):
+            text = f"{_cut(heading, _LONGEST_TITLE)}: {title}"
+            yield f"{name}-{kind}", text, replace(figure, title=text)
     lines = [row for group in summary.groups for row in group.measured]
     yield from figures_over((names or figure_names([summary])[0])[0], summary.title, lines, summary.norms)
 
@@ -285,12 +253,34 @@ def _rounds_figure(group: Group, _: Summary) -> Figure:
 
 
 def _frames_figure(group: Group, summary: Summary) -> Figure:
-    """Return the errors by frame, many frames as a cumulative curve."""
-    places, norms = _places(group), summary.norms
-    if len(places) > _MOST_NAMES:
-        return Figure("", [_ranked(group, norm) for norm in norms], len(norms), (9.6, 5.0 + 0.16 * len(group.measured)))
+    """Return the errors by frame, of many frames those with the largest ones."""
+    most = max(1, min(_MOST_NAMES, _MOST_POINTS // max(1, len(group.measured))))
+    places, norms = places_of(group, most), summary.norms
     height = 1.3 + (0.17 + 0.045 * len(group.measured)) * len(places) + 0.16 * len(group.measured)
     return Figure("", [by_frame(group, norm, places) for norm in norms], len(norms), (9.6, height))
+
+
+_KINDS: tuple[tuple[str, str, str, Callable[[Group, Summary], Figure]], ...] = (
+    (
+        "boxplot",
+        "errors by axis",
+        f"Quartiles of the signed errors of all runs, whiskers of 1.5 interquartile ranges. {RULE}",
+        _axes_figure,
+    ),
+    (
+        "convergence",
+        "convergence",
+        "Median and quartiles over the runs of a row; a run that has ended keeps its last value.",
+        _rounds_figure,
+    ),
+    (
+        "frames",
+        "errors by frame",
+        "Median and range over the seeds by frame. Of many frames, those with the largest errors.",
+        _frames_figure,
+    ),
+)
+"""The figures of groups: name of the file, title, explanation."""
 
 
 def _cut(text: str, most: int) -> str:

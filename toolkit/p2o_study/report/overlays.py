@@ -1,28 +1,19 @@
-"""Draw overlays of runs before and after calibration from the data of the user; stores contain no images."""
+"""Draw overlays of sweeps before and after calibration from the data of the user; stores contain no images."""
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
-from p2o.arrays import Float, UInt8
-from p2o.cache import FeatureCache, content_hash
 from p2o.draw.image_uri import jpeg_uri
-from p2o.errors import InputError, P2OError
-from p2o.frames.scale import image_at_scale
-from p2o.host.slots import Kind
-from p2o.run.assembly import Assembly
-from p2o.run.part import Part
-from p2o.run.recipe import Recipe
+from p2o.draw.overlay import draw_cloud
+from p2o.errors import InputError
+from p2o.run.recipe import open_dataset
 from p2o.run.words import data_by_name, split_data
 
-from p2o_study.damage import Damage, split_options
-from p2o_study.keys import features_key
-from p2o_study.report.worst import error_rank
-from p2o_study.row import Row, frame_digest
+from p2o_study.row import Row, canonical, frame_digest
+from p2o_study.statistics import error_rank
 from p2o_study.summary import Summary
 from p2o_study.worker import Identity, content_digests
 
@@ -30,36 +21,17 @@ if TYPE_CHECKING:
     from p2o.frames.frame import Frame
     from p2o.host.guard import GuardedDataset
     from p2o.host.registry import Registry
-    from p2o.run.joined import JoinedFrames
 
-
-class Wanted(NamedTuple):
-    """One frame of one run to draw."""
-
-    run: Row
-    frame: str
+Wanted = tuple[Row, str]
+"""One frame of one run to draw."""
 
 
 @dataclass
 class OverlayImages:
     """JPEG images as data URIs without duplicates: `of` maps (key of the run, frame) to indices (before, after)."""
 
-    uris: list[str] = field(default_factory=list)
-    of: dict[tuple[str, str], tuple[int, int]] = field(default_factory=dict)
-
-    def add(self, wanted: Wanted, before: UInt8, after: UInt8) -> None:
-        """Add the overlays of a run, (H, W, 3) each."""
-        self.of[wanted.run.key, wanted.frame] = (self._number(before), self._number(after))
-
-    def _number(self, image: UInt8) -> int:
-        uri = jpeg_uri(image)
-        # Rows with the same frame, initial guess and extractor share the overlay before.
-        if uri not in self._numbers:
-            self._numbers[uri] = len(self.uris)
-            self.uris.append(uri)
-        return self._numbers[uri]
-
-    _numbers: dict[str, int] = field(default_factory=dict, repr=False)
+    uris: Sequence[str] = ()
+    of: Mapping[tuple[str, str], tuple[int, int]] = field(default_factory=dict)
 
 
 def chosen(summary: Summary, most: int) -> list[Wanted]:
@@ -67,7 +39,6 @@ def chosen(summary: Summary, most: int) -> list[Wanted]:
     requests = []
     for group in summary.groups:
         for runs in (measured.rows for measured in group.measured):
-            # The sort is stable: the first is that of `worst_run`.
             worst: dict[str, Row] = {}
             for run in sorted(runs, key=error_rank, reverse=True):
                 if len(worst) >= most:
@@ -76,7 +47,7 @@ def chosen(summary: Summary, most: int) -> list[Wanted]:
                 shown = run.frames[:1] if run.case.rig else run.frames
                 for frame in shown if run.pose is not None else ():
                     worst.setdefault(frame, run)
-            requests += [Wanted(run, frame) for frame, run in list(worst.items())[:most]]
+            requests += [(run, frame) for frame, run in list(worst.items())[:most]]
     return requests
 
 
@@ -95,110 +66,50 @@ def draw_all(
     """
     runs = [run for summary in summaries for run in summary.rows]
     text_of = data_by_name(data, sorted({run.dataset for run in runs}), "the studies")
-    wanted = [w for summary in summaries for w in chosen(summary, most) if w.run.dataset in text_of]
-    for name, text in text_of.items():
-        own = [w for w in wanted if w.run.dataset == name]
-        if own:
-            _check_names(own, text, _opened(text, own[0].run, registry).dataset.names)
-    images = OverlayImages()
-    done = 0
-    # Grouped by recipe, then frame, so that each frame is read and its features are extracted once.
-    by_recipe: dict[tuple[str, int], list[Wanted]] = {}
-    for w in wanted:
-        by_recipe.setdefault((w.run.dataset, id(w.run.method)), []).append(w)
-    for own in by_recipe.values():
-        text = text_of[own[0].run.dataset]
-        source = _opened(text, own[0].run, registry)
-        _check_names(own, text, source.dataset.names)
-        for name in dict.fromkeys(w.frame for w in own):
-            tell(name, done, len(wanted))
-            frame = source.frame(name)
-            for w in own:
-                if w.frame == name:
-                    done += 1
-                    images.add(w, *source.drawn(w, frame))
-    return images
+    wanted = [(run, frame) for one in summaries for run, frame in chosen(one, most) if run.dataset in text_of]
+    # Rows may differ in options of the data.
+    by_data: dict[tuple[str, str], list[Wanted]] = {}
+    for run, frame in wanted:
+        by_data.setdefault((run.dataset, canonical(run.case.options)), []).append((run, frame))
+    datasets = {key: _opened(text_of[key[0]], own[0][0], registry) for key, own in by_data.items()}
+    for key, own in by_data.items():
+        _check_names(own, text_of[key[0]], datasets[key].names)
+    numbers: dict[str, int] = {}
+    of: dict[tuple[str, str], tuple[int, int]] = {}
+    for key, own in by_data.items():
+        for name in dict.fromkeys(frame for _, frame in own):
+            tell(name, len(of), len(wanted))
+            index = datasets[key].names.index(name)
+            read: Frame = datasets[key][index]
+            identity = Identity.of(datasets[key], index, None)
+            digests = content_digests(read) if identity is None else identity.content_digests
+            for run in (run for run, frame in own if frame == name):
+                known = next(known for known in run.case.frames if known.name == name)
+                if known.content != frame_digest(digests, read.camera_from_lidar):
+                    hint = "give the data of the study, run the study again, or leave out --data"
+                    raise InputError("this frame differs from that of the study", where=name, hint=hint)
+                poses = [pose for pose in (run.case.start, run.pose) if pose is not None]
+                images = (draw_cloud(read.image.rgb, read.cloud, read.camera, pose) for pose in poses)
+                # Rows with the same frame and initial guess share the overlay before.
+                before, after = (numbers.setdefault(jpeg_uri(image), len(numbers)) for image in images)
+                of[run.key, name] = before, after
+    return OverlayImages(list(numbers), of)
 
 
-@dataclass(frozen=True)
-class _Source:
-    """The frames of one recipe and the methods whose features are drawn; `identity` returns that of a frame."""
-
-    dataset: GuardedDataset | JoinedFrames
-    identity: Callable[[int], Identity | None]
-    assembly: Assembly
-    damage: Damage
-
-    def frame(self, name: str) -> Frame:
-        frame: Frame = self.dataset[self.dataset.names.index(name)]
-        return frame
-
-    def drawn(self, wanted: Wanted, frame: Frame) -> tuple[UInt8, UInt8]:
-        """Return the overlays at the initial guess and at the estimate of a run.
-
-        Raises InputError if the frame differs from that of the run.
-        """
-        run, identity = wanted.run, self.identity(self.dataset.names.index(frame.name))
-        digests = content_digests(frame) if identity is None else identity.content_digests
-        known = next(known for known in run.case.frames if known.name == wanted.frame)
-        if known.content != frame_digest(digests, frame.camera_from_lidar):
-            hint = "give the data of the study, run the study again, or leave out --data"
-            raise InputError("this frame differs from that of the study", where=wanted.frame, hint=hint)
-        assert run.pose is not None
-        assert run.start is not None
-        return self._at(frame, run.start), self._at(frame, run.pose)
-
-    def _at(self, frame: Frame, camera_from_lidar: Float) -> UInt8:
-        """Draw edges of both sensors at a pose, or the sweep if there are none or an extractor raises."""
-        from p2o.draw import overlay
-
-        with contextlib.suppress(P2OError):
-            view = self.assembly.view(frame)
-            if view is not None:
-                image = self.damage.image_features(view.image, frame.camera, frame.name)
-                view = replace(view, image=image).as_seen_from(camera_from_lidar)
-                if len(view.image_edges) or len(view.cloud_edges):
-                    rgb = image_at_scale(frame.image).rgb
-                    return overlay.draw(rgb, view.image_edges, view.cloud_edges, view.camera, camera_from_lidar)
-        return overlay.draw_cloud(frame.image.rgb, frame.cloud, frame.camera, camera_from_lidar)
-
-
-def _opened(text: str, run: Row, registry: Registry) -> _Source:
-    """Return the dataset and the methods of a run, reading frames from the data in `text`."""
-    name, data_options = split_data(text)
-    options, damage = split_options(run.method.options, run.seed)
+def _opened(text: str, run: Row, registry: Registry) -> GuardedDataset:
+    """Return the dataset in `text`: that of the study has the options of the run, possibly at another path."""
+    name, options = split_data(text)
     if name == run.case.data:
-        # The dataset of the study, possibly at another path.
-        data_options = {**run.case.options, **data_options}
-    words = {**run.method.words, "data": f"{name}:", "options": {**options, "data": data_options}}
-    plan = Recipe.of(**words).resolve(registry)
-    dataset: GuardedDataset = plan.parts["data"].build()
-
-    def identity(index: int) -> Identity | None:
-        return Identity.of(dataset, index, plan.parts.get("accumulate"))
-
-    return _Source(plan.joined(dataset), identity, Assembly.of(plan.parts, plan.pipeline, _kept), damage)
-
-
-def _kept(part: Part) -> Any:
-    """Return the stage of a part; an extractor reads cached features and is built on demand."""
-    if part.offer.kind not in (Kind.IMAGE_EXTRACTOR, Kind.CLOUD_EXTRACTOR):
-        return part.build()
-    features, extractor = FeatureCache.of_user(), cache(part.build)
-
-    def find(data: Any, /) -> Any:
-        kept = features.get(features_key(part, content_hash(data)), part.offer)
-        return extractor()(data) if kept is None else kept.features
-
-    return find
+        options = {**run.case.options, **options}
+    return open_dataset(f"{name}:", registry, options)
 
 
 def _check_names(wanted: Sequence[Wanted], text: str, names: Sequence[str]) -> None:
-    absent = list(dict.fromkeys(w.frame for w in wanted if w.frame not in names))
-    if absent:
-        frames, name = len({w.frame for w in wanted}), wanted[0].run.dataset
+    frames = dict.fromkeys(frame for _, frame in wanted)
+    if absent := [frame for frame in frames if frame not in names]:
+        name = wanted[0][0].dataset
         raise InputError(
-            f"{len(absent)} of {frames} frames of dataset '{name}' are missing from the data",
+            f"{len(absent)} of {len(frames)} frames of dataset '{name}' are missing from the data",
             where=f"--data {text}",
             expected=f"{absent[0]}{', ...' if len(absent) > 1 else ''}",
             got=f"{len(names)} frames such as {names[0]}" if names else "no frames",

@@ -13,16 +13,15 @@ from typing import Any
 import numpy as np
 from p2o.page import page as html
 from p2o.page.page import Block, Column, brief, cell
-from p2o.page.plot import plot
+from p2o.page.plot import Panel, plot
 from p2o.page.run_page import ROUND_COLUMNS
 from p2o.results.figures import figure_lines
 from p2o.results.verdict import Trust
 
 from p2o_study.report import figures
 from p2o_study.report.overlays import OverlayImages
-from p2o_study.report.worst import error_rank, outcome_text, worst_run
-from p2o_study.row import METRICS, Row
-from p2o_study.statistics import Statistic, Statistics, trust_text
+from p2o_study.row import NORMS, Row
+from p2o_study.statistics import Statistics, error_rank, trust_text
 from p2o_study.study import Published
 from p2o_study.summary import Group, Summary
 from p2o_study.tables import (
@@ -31,22 +30,16 @@ from p2o_study.tables import (
     RUN_COLUMNS,
     STATISTICS,
     VERDICT,
-    error_cell,
+    Figure,
+    error_figure,
     figures_of,
-    in_unit,
-    leads,
     name_of,
     pair_columns,
-    unit_of,
 )
 
 _RUN_BYTES = 1_500_000
 """Maximum size of the single runs on the page, as JSON; about 1,000 runs."""
 _MOST_ROWS = 400
-_MOST_POINTS = 2000
-"""Maximum number of points of the plot of errors by frame: rows times frames."""
-
-
 # ---- what the page shows of a row, of a pair of rows and of a run
 
 
@@ -54,32 +47,19 @@ def row_columns(group: Group, summary: Summary) -> list[Column]:
     """Return the columns of the rows of a group; most are empty for published rows."""
     metrics = [(metric, None) for metric in summary.norms] + [(metric, "by axis") for metric in summary.axes]
     verdict = Column("verdict", text=True, hide=3, of=lambda row: cell(row.trusted, trust_text(row.trust)))
-    verdicts = [verdict] if _have_verdicts(run for row in group.measured for run in row.rows) else []
-    figures = (figure.column for figure in figures_of(group.measured, _NOT_ON_PAGE))
+    figures = [
+        *(error_figure(m, s, 1 + (s == "median"), option) for m, option in metrics for s in STATISTICS),
+        *([Figure(verdict)] if _have_verdicts(run for row in group.measured for run in row.rows) else []),
+        *figures_of(group.measured, _NOT_ON_PAGE),
+    ]
     return [
         Column("row", text=True, hide=0, of=_label),
-        *(
-            Column(
-                f"{name_of(metric)} {statistic}",
-                *unit_of(metric)[::2],
-                hide=1 + (statistic == "median"),
-                option=option,
-                of=partial(_figure, group=group, metric=metric, statistic=statistic),
-            )
-            for metric, option in metrics
-            for statistic in STATISTICS
-        ),
-        *(replace(column, of=partial(_measured, column)) for column in (*verdicts, *figures)),
+        *(replace(one.column, of=partial(one.page_cell, rivals=group.measured)) for one in figures),
         Column("start", text=True, hide=6, of=_starts),
     ]
 
 
 _NOT_ON_PAGE = {"start", "groups", *Trust}
-
-
-def _measured(column: Column, row: Statistics | Published) -> Any:
-    """Return the cell of a measured row, None of a published one."""
-    return None if isinstance(row, Published) or column.of is None else column.of(row)
 
 
 def _label(row: Statistics | Published) -> Any:
@@ -88,13 +68,6 @@ def _label(row: Statistics | Published) -> Any:
 
 def _starts(row: Statistics | Published) -> str:
     return row.start or NONE if isinstance(row, Published) else ", ".join(row.protocols) or NONE
-
-
-def _figure(row: Statistics | Published, group: Group, metric: str, statistic: Statistic) -> Any:
-    """Return the error of a row with its interval; the best ones of the complete rows of a group are bold."""
-    if isinstance(row, Published):
-        return in_unit(row.values.get(metric), metric) if statistic == "mean" else None
-    return error_cell(row, metric, statistic, "strong" if leads(row, group.measured, metric, statistic) else None)
 
 
 def _have_verdicts(runs: Iterable[Row]) -> bool:
@@ -106,10 +79,10 @@ def run_columns(runs: Sequence[Row], images: OverlayImages) -> list[Column]:
     drawn = {key for key, _ in images.of}
     frame, *others = (column for column in RUN_COLUMNS if column is not VERDICT or _have_verdicts(runs))
     return [
-        Column("row", text=True, hide=0, of=lambda run: run.row),
+        _ROW,
         replace(frame, of=lambda run: f"{run.place}{' ▣' * (run.key in drawn)}"),
         *others,
-        Column("start", text=True, hide=6, of=lambda run: run.protocol),
+        Column("start", text=True, hide=6, of=lambda run: run.case.protocol),
         Column("matches", hide=4, of=lambda run: sum(run.matches.values()) or None),
         Column("overlays", text=True, off=True, of=lambda run: "yes" if run.key in drawn else "no"),
     ]
@@ -127,16 +100,9 @@ def run_blocks(run: Row, images: OverlayImages, shared: html.Shared) -> Iterator
     evidence = figure_lines(run.figures)
     if evidence:
         yield html.part("Evidence", html.facts(evidence))
-    rows = []
-    for metric in METRICS:
-        unit, factor, digits = unit_of(metric)
-        values = (run.start_error_of(metric), run.error_of(metric))
-        ends = [None if value is None else factor * value for value in values]
-        rows.append([f"{name_of(metric)} [{unit}]", *(html.number_text(end, digits) for end in ends)])
     seconds = [(stage, f"{value:.3g} s") for stage, value in run.seconds.items() if brief(value) is not None]
     counts = [(side, str(count)) for side, count in run.matches.items()]
-    parts = [html.part("Error", html.table(shared.use(_ERRORS), rows))]
-    parts += [html.part("Matches", html.facts(counts))] if counts else []
+    parts = [html.part("Matches", html.facts(counts))] if counts else []
     parts += [html.part("Time", html.facts(seconds))] if seconds else []
     yield html.grid(*parts, least=220)
     poses = []
@@ -164,9 +130,6 @@ def run_blocks(run: Row, images: OverlayImages, shared: html.Shared) -> Iterator
         yield html.text(f"finished {run.finished}", "quiet")
 
 
-_ERRORS = html.columns_of([Column("", text=True), Column("start"), Column("end")])
-
-
 def overlays_of(run: Row, images: OverlayImages) -> list[Block]:
     """Return the overlays of the frames of a run that were drawn."""
     numbers = [(frame, images.of[run.key, frame]) for frame in run.frames if (run.key, frame) in images.of]
@@ -190,17 +153,17 @@ def page(summaries: Sequence[Summary], images: OverlayImages) -> str:
     titles = Counter(summary.title for summary in summaries)
     studies = {
         summary.title if titles[summary.title] == 1 else f"{summary.title} ({summary.name})": _study(
-            summary, own, images, summary.title if len(summaries) > 1 else ""
+            summary, chosen, images, summary.title if len(summaries) > 1 else ""
         )
-        for summary, own in zip(summaries, chosen, strict=True)
+        for summary in summaries
     }
-    notes = [html.text(note, "quiet") for note in (*NOTES, figures.RULE)]
+    notes = [html.text(note, "quiet") for note in NOTES]
     title = summaries[0].title if len(summaries) == 1 else "p2o report"
     return html.page(title, [html.choice("study", studies), html.section("How to read it", *notes)], shared=shared)
 
 
 Opened = dict[int, dict[str, Any]]
-"""What the runs of a group on the page open, by the id of the run."""
+"""What the runs on the page open, by the id of the run."""
 
 
 def _with_first_rows(summaries: Sequence[Summary]) -> list[Summary]:
@@ -220,36 +183,41 @@ def _with_first_rows(summaries: Sequence[Summary]) -> list[Summary]:
     return [summary for summary in out if summary.groups]
 
 
-def _chosen_runs(summaries: Sequence[Summary], images: OverlayImages, shared: html.Shared) -> list[list[Opened]]:
+def _chosen_runs(summaries: Sequence[Summary], images: OverlayImages, shared: html.Shared) -> Opened:
     """Return the runs on the page: the worst run of each row, then the next worst of each, up to `_RUN_BYTES`."""
-    chosen = [[Opened() for _ in summary.groups] for summary in summaries]
+    chosen, left = Opened(), _RUN_BYTES
     drawn = {key for key, _ in images.of}
     queues = []
-    for own, summary in zip(chosen, summaries, strict=True):
-        for opened, group in zip(own, summary.groups, strict=True):
-            for measured in group.measured:
-                order = sorted(measured.rows, key=error_rank, reverse=True)
-                # The worst run of a row is always its first, those with overlays are next.
-                order[1:] = sorted(order[1:], key=lambda run: run.key not in drawn)
-                queues.append([(opened, run) for run in order])
-    left = _RUN_BYTES
-    for opened, run in (entry for turn in itertools.zip_longest(*queues) for entry in turn if entry is not None):
+    for row in (row for summary in summaries for group in summary.groups for row in group.measured):
+        order = sorted(row.rows, key=error_rank, reverse=True)
+        # The worst run of a row is always its first, those with overlays are next.
+        queues.append([*order[:1], *sorted(order[1:], key=lambda run: run.key not in drawn)])
+    for run in (run for turn in itertools.zip_longest(*queues) for run in turn if run is not None):
         before = shared.size
         detail = html.detail(f"{run.row}, {run.place}, seed {run.seed}", *run_blocks(run, images, shared))
         left -= len(html.plain_json(detail)) + shared.size - before
         if left < 0:
             break
-        opened[id(run)] = detail
+        chosen[id(run)] = detail
     return chosen
 
 
-def _study(summary: Summary, chosen: Sequence[Opened], images: OverlayImages, title: str) -> list[Block]:
+def _study(summary: Summary, opened: Opened, images: OverlayImages, title: str) -> list[Block]:
     note = " ".join([summary.note, *(f"{line}." for line in summary.pooled)]).strip()
     groups = {
         group.heading or f"rows {number}": _group(group, summary, opened, images)
-        for number, (group, opened) in enumerate(zip(summary.groups, chosen, strict=True), 1)
+        for number, group in enumerate(summary.groups, 1)
     }
-    return [html.section(title, html.text(note, "quiet"), html.choice("rows", groups))]
+    lines = [row for group in summary.groups for row in group.measured]
+    over = figures.figures_over(summary.name, summary.title, lines, summary.norms)
+    plots = [_figure(name, figure.panels) for _, name, figure in over]
+    return [html.section(title, html.text(note, "quiet"), html.choice("rows", groups), *plots)]
+
+
+def _figure(title: str, panels: Sequence[Panel], note: str = "") -> Block:
+    """Return a figure with its explanation."""
+    shown = plot([panel for panel in panels if panel.series])
+    return html.section(title[:1].upper() + title[1:], shown, *([html.text(note, "quiet")] if note else []))
 
 
 def _group(group: Group, summary: Summary, opened: Opened, images: OverlayImages) -> list[Block]:
@@ -268,14 +236,8 @@ def _group(group: Group, summary: Summary, opened: Opened, images: OverlayImages
             ),
         ),
         _worst(group, numbers, images),
-        html.section(
-            "Errors", html.choice("of", {_named(metric): _errors(group, metric, numbers) for metric in METRICS})
-        ),
+        *(_figure(title, figure.panels, note) for _, title, note, figure in figures.group_figures(group, summary)),
     ]
-    panels = figures.rounds(group)
-    if panels:
-        rule = "Median and quartiles over the runs of a row; a run that has ended keeps its last value."
-        blocks.append(html.section("Convergence", plot(panels), html.text(rule, "quiet")))
     if group.comparisons:
         rule = "On the same frames and seeds; negative differences are in favour of the first row."
         blocks.append(
@@ -303,47 +265,21 @@ def _group(group: Group, summary: Summary, opened: Opened, images: OverlayImages
 
 
 def _worst(group: Group, numbers: Mapping[int, int], images: OverlayImages) -> Block:
-    """Return the worst run of each row with its outcome in words, and its overlays."""
-    rows, opens, drawn = [], [], []
-    for measured in group.measured:
-        run = worst_run(measured.rows) if measured.rows else None
-        if run is not None and id(run) in numbers:
-            rows.append([measured.label, outcome_text(run), run.trust, f"{run.place}, seed {run.seed}"])
-            opens.append(html.row_of("runs", numbers[id(run)]))
-            drawn += [html.part(measured.label, one) for one in overlays_of(run, images)[:1]]
-    columns = [
-        Column("row", text=True, hide=0),
-        Column("outcome", text=True, hide=0),
-        replace(VERDICT, of=None),
-        Column("frame", text=True, hide=3),
-    ]
+    """Return the worst run of each row with its reasons, and its overlays."""
+    runs = [max(row.rows, key=error_rank) for row in group.measured if row.rows]
+    runs = [run for run in runs if id(run) in numbers]
+    opens = [html.row_of("runs", numbers[id(run)]) for run in runs]
+    drawn = [html.part(run.row, one) for run in runs for one in overlays_of(run, images)[:1]]
     hint = [] if images.uris else [html.text("Overlays need the data: p2o report DIR --data DATASET:PATH", "quiet")]
-    table = html.table(columns, rows, name="worst", opens=opens)
+    table = html.table(_WORST_COLUMNS, runs, name="worst", opens=opens)
     return html.section("The worst run of each row", table, *([html.grid(*drawn)] if drawn else hint))
 
 
-def _errors(group: Group, metric: str, numbers: Mapping[int, int]) -> list[Block]:
-    """Return the plots of a metric: of all runs, on a linear or logarithmic axis, and by frame."""
-    note = "All runs: quartiles, whiskers of 1.5 interquartile ranges, single points beyond for the runs below."
-    scales = {}
-    for name, log in (("linear", False), ("logarithmic: sizes without signs", True)):
-        boxes = figures.boxes(group, metric, log=log, opens=numbers)
-        scales[name] = [plot([replace(boxes, note=note)])]
-    first = figures.differ_much(figures.errors_of(row, metric) for row in group.measured)
-    note = "Median and range over the seeds by frame. Of many frames, those with the largest errors."
-    frames = replace(figures.by_frame(group, metric, _largest(group), numbers), note=note)
-    return [html.grid(html.choice("scale", scales, first=int(first)), plot([frames]))]
-
-
-def _largest(group: Group) -> list[str]:
-    """Return the frames with the largest errors, in the order of the runs."""
-    largest: dict[str, float] = {}
-    for run in itertools.chain(*(row.rows for row in group.measured)):
-        largest[run.place] = max(largest.get(run.place, -1.0), error_rank(run)[0])
-    most = max(1, _MOST_POINTS // max(1, len(group.measured)))
-    kept = set(sorted(largest, key=lambda place: -largest[place])[:most])
-    return [place for place in largest if place in kept]
-
-
-def _named(metric: str) -> str:
-    return f"{name_of(metric)} [{unit_of(metric)[0]}]"
+_ROW = Column("row", text=True, hide=0, of=lambda run: run.row)
+_IN_WORST = ("status", "verdict", *map(name_of, NORMS))
+_WORST_COLUMNS = (
+    _ROW,
+    *(column for column in RUN_COLUMNS if column.name in _IN_WORST),
+    Column("reasons", text=True, hide=2, of=lambda run: (run.why if run.solved else run.reason) or None),
+    Column("frame", text=True, hide=3, of=lambda run: f"{run.place}, seed {run.seed}"),
+)
