@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from p2o.calibration.adjustment import TimeFit
-from p2o.calibration.nuisance import Nuisance, known_twists
+from p2o.calibration.adjustment import Nuisance, TimeFit
+from p2o.calibration.nuisance import known_twists
 from p2o.calibration.options import PipelineOptions
 
 from tests import edge_scene

@@ -9,8 +9,8 @@ import numpy as np
 import p2o
 import pytest
 from p2o import CloudFeatures, Side, View
+from p2o.calibration.adjustment import Nuisance
 from p2o.calibration.judge import SIGMA_PX, DirectedJudge
-from p2o.calibration.nuisance import Nuisance
 from p2o.geometry.perturb import wrong_start
 from p2o.geometry.pose_error import pose_error
 from p2o.host.guard import GuardedMatcher

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -13,13 +13,16 @@ from scipy.linalg import block_diag
 
 from p2o.arrays import Float, Int
 from p2o.calibration.block_system import BlockSystem
-from p2o.errors import InputError
+from p2o.calibration.intrinsics import IntrinsicsEstimate, estimate_intrinsics
 from p2o.features.side import Side
+from p2o.features.view import View
 from p2o.geometry import se3
 from p2o.geometry.camera import Camera
-from p2o.geometry.motion import EgoMotion, MotionPrior
+from p2o.geometry.motion import EgoMotion, MotionPrior, pose_at
 from p2o.geometry.radial_error import LARGEST, RadialError, RadialFit, is_correctable, slopes
+from p2o.problems.distinct_views import scenes_of, view_weights
 from p2o.problems.point_to_line import OUTLINE_CELL_PX, PointToLine
+from p2o.results.result import SweepMotion
 
 _ITERATIONS = 30
 _CONVERGED = 1e-7
@@ -70,40 +73,95 @@ class Adjustment:
     time: TimeFit | None = None
 
 
+@dataclass(frozen=True)
+class Nuisance:
+    """Values of the nuisance parameters: errors of cameras, motions (one a view, or none) and an offset in time.
+
+    `twists` (F, 6) are the velocities that make the offset observable, None where it is not. `weights` (F,) and
+    `scenes` (F,) are those of the views (`p2o.problems.distinct_views`), None where every view counts once.
+    """
+
+    prior: MotionPrior | None = None
+    errors: Mapping[Camera, RadialError] = field(default_factory=dict)
+    motions: tuple[MotionFit, ...] = ()
+    twists: Float | None = None
+    time: TimeFit | None = None
+    weights: Float | None = None
+    scenes: Int | None = None
+
+    @classmethod
+    def expected(cls, views: Sequence[View], prior: MotionPrior | None, twists: Float | None = None) -> Nuisance:
+        """Return the values that are expected before any pair is evaluated."""
+        if prior is None:
+            return cls(twists=twists)
+        motions = (MotionFit(prior.expected, prior.covariance),) * len(views)
+        return cls(prior, motions=motions, twists=twists)
+
+    def error_of(self, camera: Camera) -> RadialError:
+        """Return the error of a camera; zero where none is known."""
+        return self.errors.get(camera, RadialError())
+
+    def of_views(self, views: Sequence[View]) -> Nuisance:
+        """Return the same values with the weights and scenes of views."""
+        return replace(self, weights=view_weights(views), scenes=scenes_of(views))
+
+    def timed(self) -> Nuisance:
+        """Return the same values with an offset in time to be estimated."""
+        return replace(self, time=TimeFit())
+
+    def fit(self, problem: PointToLine, cameras: tuple[Camera, ...], pose: Float, *, fits_cameras: bool) -> Adjustment:
+        """Fit pose and nuisance parameters to pairs, starting from these values; `cameras` are uncorrected."""
+        return fit_with_nuisances(replace(problem, cameras=cameras), pose, self, fits_cameras=fits_cameras)
+
+    def after(self, fit: Adjustment) -> Nuisance:
+        """Return the values after a fit."""
+        errors = dict(self.errors) | {c.camera: c.error for c in fit.cameras}
+        return replace(self, errors=errors, motions=fit.motions, time=fit.time)
+
+    def views(self, raw: Sequence[View]) -> list[View]:
+        """Return raw views with cameras corrected, and features moved to the time of the image."""
+        if self.motions:
+            raw = [view.untwisted(fit.motion.twist) for view, fit in zip(raw, self.motions, strict=True)]
+        if self.time is not None and self.twists is not None:
+            offset_s = self.time.offset_s
+            raw = [view.moved(pose_at(twist, -offset_s)) for view, twist in zip(raw, self.twists, strict=True)]
+        cameras = [self.error_of(view.camera).corrected(view.camera) for view in raw]
+        return [replace(view, camera=camera) for view, camera in zip(raw, cameras, strict=True)]
+
+    def intrinsics(
+        self, raw: Sequence[View], camera_from_lidar: Float, parameters: Sequence[bool]
+    ) -> IntrinsicsEstimate | None:
+        """Estimate errors of the cameras of raw views at a pose (4, 4), together with the motions of their sweeps."""
+        motions = [fit.motion for fit in self.motions]
+        return estimate_intrinsics(self.views(raw), camera_from_lidar, parameters, self.prior, motions)
+
+    def sweep_motions(self, views: Sequence[View]) -> tuple[SweepMotion, ...]:
+        """Return the motions of those views whose sweeps are raw."""
+        motions = []
+        for view, fit in zip(views, self.motions, strict=bool(self.motions)):
+            if view.cloud_edges.time_s.any():
+                motion, (speed_sigma, turn_sigma) = fit.motion, np.sqrt(np.diag(fit.covariance)).tolist()
+                turn = float(np.degrees(motion.turn_rad_s)), float(np.degrees(turn_sigma))
+                twist = tuple(motion.twist.tolist())
+                motions.append(SweepMotion(view.name, motion.speed_m_s, speed_sigma, *turn, twist))
+        return tuple(motions)
+
+
 def fit_with_nuisances(
-    problem: PointToLine,
-    camera_from_lidar: Float,
-    *,
-    fits_cameras: bool = True,
-    known: Mapping[Camera, RadialError] | None = None,
-    prior: MotionPrior | None = None,
-    motions: Sequence[EgoMotion] = (),
-    twists: Float | None = None,
-    time: TimeFit | None = None,
-    weights: Float | None = None,
-    scenes: Int | None = None,
+    problem: PointToLine, camera_from_lidar: Float, nuisance: Nuisance, *, fits_cameras: bool = True
 ) -> Adjustment:
     """Fit pose, radial errors of cameras, motions of sweeps and a time offset to pairs by least squares.
 
-    The cameras of `problem` are uncorrected; `known` are their initial errors, fixed with `fits_cameras` False. Motions
-    are fitted if there is a `prior`; the points are compensated for `motions`, one a frame (none: raw points). A time
-    offset is fitted from the initial value `time`; `twists` (F, 6) are the known velocities of the LiDAR, zero where
-    unknown. The robust sum is that of the problem (Huber; Eq. 1 of the paper). With cameras, the widths of outlines are
-    fitted, too: systematic edge bias must not be absorbed by the focal length. Gaussian priors: errors of cameras 1 %
-    and 0.02, the time offset 50 ms, motions as `prior`. The prior of a motion counts with the weight of its frame, as
-    its pairs do (`weights` (F,), with a mean of 1). Covariances are cluster robust: pairs of one direction within 64 px
-    are one measurement (Liang and Zeger, 1986), in all frames of one of the `scenes` (F,). Cameras without a radial
-    coefficient are not fitted. Raises InputError for a problem without pairs, and where motions or twists are not one
-    a frame.
+    The cameras of `problem` are uncorrected; the fit starts from the values of `nuisance`, whose errors of cameras are
+    fixed with `fits_cameras` False. Motions are fitted if there is a prior; the points are compensated for those of
+    `nuisance`. A time offset is fitted if `nuisance` has one. The robust sum is that of the problem (Huber; Eq. 1 of
+    the paper). With cameras, the widths of outlines are fitted, too: systematic edge bias must not be absorbed by the
+    focal length. Gaussian priors: errors of cameras 1 % and 0.02, the time offset 50 ms, motions as their prior, which
+    counts with the weight of its frame, as its pairs do. Covariances are cluster robust: pairs of one direction within
+    64 px are one measurement (Liang and Zeger, 1986), in all frames of one scene. Cameras without a radial coefficient
+    are not fitted.
     """
-    if not len(problem):
-        raise InputError("there are no pairs to fit", expected="at least one pair", got="none")
-    if motions and len(motions) != len(problem.cameras):
-        raise InputError("the motions are not one a frame", expected=len(problem.cameras), got=len(motions))
-    if time is not None and (twists is None or len(twists) != len(problem.cameras)):
-        got = "none" if twists is None else len(twists)
-        raise InputError("the velocities are not one a frame", expected=len(problem.cameras), got=got)
-    model = _Model.of(problem, camera_from_lidar, fits_cameras, known or {}, prior, motions, twists, time, weights)
+    model = _Model.of(problem, np.asarray(camera_from_lidar, np.float64), nuisance, fits_cameras)
     pose, state = np.asarray(camera_from_lidar, np.float64), model.start
     rows, own, residuals = model.linearised(pose, state)
     began = residuals
@@ -117,12 +175,12 @@ def fit_with_nuisances(
         rows, own, residuals = model.linearised(pose, state)
         if np.abs(step).max() < _CONVERGED:
             break
-    scores, places = _clustered(model, rows, own, residuals, scenes)
+    scores, places = _clustered(model, rows, own, residuals)
     by_pairs, by_prior = system.covariance(*scores), system.covariance(*model.prior_scores(variance))
     shared = slice(0, 6 + model.shared)
     surely = _SIGMA_INFLATION**2 * by_pairs.shared + by_prior.shared
     time_variance = surely[shared, shared].diagonal()[-1]
-    if time is not None:
+    if model.time is not None:
         by_frame = _by_frame(model, system, rows, own, residuals, weight)
         time_variance = max(time_variance, by_frame + by_prior.shared[shared, shared].diagonal()[-1])
     # With six places the fit has no residual for any pose: with few places, residuals underestimate the error.
@@ -150,50 +208,45 @@ def fit_with_nuisances(
 class _Model:
     """What residuals depend on beside the pose.
 
-    The state (N,) is focal and radial of every camera in `asked`, the widths of outlines, the time offset if there is
-    a `time`, then speed and turn of every frame. `by_shared` are derivatives by the first two, computed once. `motions`
-    (F, 2) are those that the points are corrected for, none without a `prior`; `by_time` (K, 3) is their velocity.
-    `weights` (F,) are those of the frames.
+    The state (N,) is focal and radial of every camera in `asked`, the widths of outlines, the time offset if one is
+    fitted, then speed and turn of every frame. `by_shared` are derivatives by the first two, computed once. `motions`
+    (F, 2) are those that the points are corrected for; `by_time` (K, 3) is the velocity of the points.
     """
 
     problem: PointToLine
-    errors: Mapping[Camera, RadialError]
+    nuisance: Nuisance
     asked: tuple[Camera, ...]
     by_shared: Float
-    prior: MotionPrior | None
     motions: Float
-    time: TimeFit | None
     by_time: Float
-    weights: Float
 
     @classmethod
-    def of(
-        cls,
-        problem: PointToLine,
-        pose: Float,
-        fits_cameras: bool,
-        known: Mapping[Camera, RadialError],
-        prior: MotionPrior | None,
-        motions: Sequence[EgoMotion],
-        twists: Float | None,
-        time: TimeFit | None,
-        weights: Float | None,
-    ) -> _Model:
-        correctable = [camera for camera in dict.fromkeys(problem.cameras) if is_correctable(camera)]
-        errors = {camera: known.get(camera, RadialError()) for camera in correctable}
-        by_shared = np.zeros((len(problem), 0))
+    def of(cls, problem: PointToLine, pose: Float, nuisance: Nuisance, fits_cameras: bool) -> _Model:
+        asked = tuple(filter(is_correctable, dict.fromkeys(problem.cameras))) if fits_cameras else ()
+        by_shared, by_time = np.zeros((len(problem), 0)), np.zeros((len(problem), 3))
         if fits_cameras:
+            errors = {camera: nuisance.error_of(camera) for camera in asked}
             by_shared = np.hstack([_by_error(problem, pose, errors), _outward(problem)])
-        if prior is not None and not motions:
-            motions = [EgoMotion()] * len(problem.cameras)
-        numbers = [[motion.speed_m_s, motion.turn_rad_s] for motion in motions] if prior is not None else []
-        by_time = np.zeros((len(problem), 3))
-        if time is not None and twists is not None:
-            velocity = np.asarray(twists, np.float64)[problem.frame]
+        motions = [[fit.motion.speed_m_s, fit.motion.turn_rad_s] for fit in nuisance.motions]
+        if nuisance.time is not None and nuisance.twists is not None:
+            velocity = nuisance.twists[problem.frame]
             by_time = -(np.cross(velocity[:, :3], problem.xyz) + velocity[:, 3:])
-        asked = tuple(correctable) if fits_cameras else ()
-        weights = np.ones(len(problem.cameras)) if weights is None else weights
-        return cls(problem, errors, asked, by_shared, prior, np.reshape(numbers, (-1, 2)), time, by_time, weights)
+        return cls(problem, nuisance, asked, by_shared, np.reshape(motions, (-1, 2)), by_time)
+
+    @property
+    def prior(self) -> MotionPrior | None:
+        """The prior of the motions; None where they are not fitted."""
+        return self.nuisance.prior
+
+    @property
+    def time(self) -> TimeFit | None:
+        """The initial offset in time; None where it is not fitted."""
+        return self.nuisance.time
+
+    @cached_property
+    def weights(self) -> Float:
+        """The weights (F,) of the frames."""
+        return np.ones(len(self.problem.cameras)) if self.nuisance.weights is None else self.nuisance.weights
 
     @property
     def shared(self) -> int:
@@ -203,7 +256,7 @@ class _Model:
     @property
     def start(self) -> Float:
         """The state (N,) of the problem as it is."""
-        errors = [[self.errors[camera].focal, self.errors[camera].radial] for camera in self.asked]
+        errors = [[error.focal, error.radial] for error in map(self.nuisance.error_of, self.asked)]
         widths = np.zeros(self.by_shared.shape[1] - 2 * len(self.asked))
         offset = [] if self.time is None else [self.time.offset_s]
         return np.concatenate([np.ravel(errors), widths, offset, self.motions.ravel()])
@@ -214,10 +267,8 @@ class _Model:
         All are zero where a point is unseen.
         """
         problem, shared = self.problem, self.shared
-        errors = dict(self.errors) | {
-            camera: self._error(camera, state[2 * i : 2 * i + 2]) for i, camera in enumerate(self.asked)
-        }
-        cameras = tuple(errors[c].corrected(c) if c in errors else c for c in problem.cameras)
+        fitted = {camera: self._error(camera, state[2 * i : 2 * i + 2]) for i, camera in enumerate(self.asked)}
+        cameras = tuple(fitted.get(c, self.nuisance.error_of(c)).corrected(c) for c in problem.cameras)
         # What a motion changes is small: its first order is enough.
         by_speed, by_turn = self._displacements()
         xyz = problem.xyz
@@ -373,7 +424,7 @@ class _Model:
 
     def _error(self, camera: Camera, values: Float) -> RadialError:
         """Return the error of a camera with values (2,) of focal and radial; its principal point is not fitted."""
-        return replace(self.errors[camera], focal=float(values[0]), radial=float(values[1]))
+        return replace(self.nuisance.error_of(camera), focal=float(values[0]), radial=float(values[1]))
 
     def motion_fits(self, state: Float, covariances: Float) -> tuple[MotionFit, ...]:
         """Read the motions from the state (N,); `covariances` (F, 2, 2) are theirs."""
@@ -408,11 +459,9 @@ def _outward(problem: PointToLine) -> Float:
     return np.column_stack([out * upright, out * ~upright])
 
 
-def _clustered(
-    model: _Model, rows: Float, own: Float, residuals: Float, scenes: Int | None
-) -> tuple[tuple[Float, Any], int]:
+def _clustered(model: _Model, rows: Float, own: Float, residuals: Float) -> tuple[tuple[Float, Any], int]:
     """Return the gradients of clusters, with pairs of one scene, side and cell as one, and their number."""
-    problem = model.problem
+    problem, scenes = model.problem, model.nuisance.scenes
     cell = np.floor(problem.centre / OUTLINE_CELL_PX).astype(np.int64)
     scene = problem.frame if scenes is None else scenes[problem.frame]
     key = np.column_stack([scene, problem.side, cell])

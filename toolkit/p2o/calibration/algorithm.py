@@ -9,9 +9,10 @@ from functools import cached_property, partial
 import numpy as np
 
 from p2o.arrays import Float
+from p2o.calibration.adjustment import Nuisance
 from p2o.calibration.interval_search import most_likely_pose
 from p2o.calibration.judge import is_sparse, judge_of
-from p2o.calibration.nuisance import Nuisance, NuisanceEstimate, estimate_nuisances, known_twists, motion_prior
+from p2o.calibration.nuisance import NuisanceEstimate, estimate_nuisances, known_twists, motion_prior
 from p2o.calibration.options import PipelineOptions
 from p2o.calibration.rounds import REACH_AFTER_SEARCH_PX, End, Rounds
 from p2o.calibration.search_box import SearchBox

@@ -9,10 +9,11 @@ from typing import NamedTuple, TypeGuard
 import numpy as np
 
 from p2o.arrays import Bool, Float
+from p2o.calibration.adjustment import Nuisance
 from p2o.calibration.algorithm import Algorithm, missing_features
 from p2o.calibration.interval_search import most_likely_pose
 from p2o.calibration.judge import IntervalJudge, is_sparse
-from p2o.calibration.nuisance import Nuisance, enough_pairs, motion_prior
+from p2o.calibration.nuisance import enough_pairs, motion_prior
 from p2o.calibration.options import PipelineOptions
 from p2o.calibration.rounds import REACH_AFTER_SEARCH_PX
 from p2o.confidence.accuracy import (
