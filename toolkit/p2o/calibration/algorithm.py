@@ -64,7 +64,7 @@ class Refined:
     @property
     def solved(self) -> list[End]:
         """The ends with a pose to judge: those within the box of the search, all of them if none is."""
-        solved = [end for end in self.ends if end.solved]
+        solved = [end for end in self.ends if end.status.solved]
         return [end for end in solved if self.within(end.pose)] or solved
 
     def within(self, pose: Float) -> bool:
@@ -89,11 +89,6 @@ class Estimate:
 
     refined: Refined
     final: NuisanceEstimate
-
-    @property
-    def start(self) -> Float:
-        """The initial extrinsic (4, 4)."""
-        return self.refined.start
 
     @cached_property
     def views(self) -> list[View]:

@@ -147,13 +147,21 @@ def _cameras_corrected(
     if estimate is None or not wrong.any():
         return None
     nuisance = replace(nuisance, errors={fit.camera: fit.error for fit in estimate.fits})
-    views = nuisance.views(raw)
+    views, pose = nuisance.views(raw), estimate.camera_from_lidar
+    better = _better_end(views, start, pose, best, judge, rounds, REACH_AFTER_SEARCH_PX)
+    return None if better is None else (*better, nuisance)
+
+
+def _better_end(
+    views: Sequence[View], start: Float, pose: Float, best: End, judge: JudgeBase, rounds: Rounds, reach_px: float
+) -> tuple[End, JudgeBase] | None:
+    """Return the end of rounds from a pose (4, 4) with corrected views, and their judge; None if it costs no less."""
     corrected = judge.on(views)
-    pose = estimate.camera_from_lidar
-    end = rounds(views, start, pose, corrected, reach_px=REACH_AFTER_SEARCH_PX, found_by="adjust")
-    if not (end.solved and enough_pairs(end.problem)) or not corrected.costs([end.pose]) < judge.costs([best.pose]):
+    end = rounds(views, start, pose, corrected, reach_px=reach_px, found_by="adjust")
+    if not (end.status.solved and enough_pairs(end.problem)):
         return None
-    return replace(end, rounds=best.rounds + end.rounds), corrected, nuisance
+    [previous_cost], [cost] = judge.costs([best.pose]), corrected.costs([end.pose])
+    return (replace(end, rounds=best.rounds + end.rounds), corrected) if cost < previous_cost else None
 
 
 def _refined_jointly(
@@ -174,12 +182,5 @@ def _refined_jointly(
         reach_px = max(options.min_reach_px, reach_px * _SHRINK)
     if fit is None:
         return None
-    views = nuisance.views(raw)
-    corrected_judge = judge.on(views)
-    end = rounds(views, start, pose, corrected_judge, reach_px=options.min_reach_px, found_by="adjust")
-    if not (end.solved and enough_pairs(end.problem)):
-        return None
-    [previous_cost], [cost] = judge.costs([best.pose]), corrected_judge.costs([end.pose])
-    if not cost < previous_cost:
-        return None
-    return replace(end, rounds=best.rounds + end.rounds), corrected_judge, fit
+    better = _better_end(nuisance.views(raw), start, pose, best, judge, rounds, options.min_reach_px)
+    return None if better is None else (*better, fit)

@@ -57,7 +57,7 @@ def assess(
     The initial extrinsic is used as a prior where its standard deviation `start_sigma` is known. An estimate that does
     not cost less than the initial extrinsic is refused.
     """
-    final, start, end, judge = estimate.final, estimate.start, estimate.final.end, estimate.refined.judge
+    final, start, end, judge = estimate.final, estimate.refined.start, estimate.final.end, estimate.refined.judge
     # Where the camera was corrected, other poses that fit the given camera better are no rivals.
     best = (end, final.judge) if final.cameras_corrected else (estimate.refined.best, judge)
     rival = rival_of([*estimate.refined.solved, *estimate.refined.rivals], *best)
@@ -162,7 +162,7 @@ def _rival_covariance(refined: Refined) -> Float:
     Which of them has the lowest cost depends on the noise of the edges, and on the seed of the search. A pose that
     loses L edges has the probability exp(-L) of the best one; poses that lose `MIN_LEAD_EDGES` or more are left out.
     """
-    ends = [end for end in (*refined.solved, *refined.rivals) if end.solved and end is not refined.best]
+    ends = [end for end in (*refined.solved, *refined.rivals) if end.status.solved and end is not refined.best]
     cost_of_best, *costs = refined.judge.costs([refined.best.pose, *(end.pose for end in ends)])
     total, probability = np.zeros((6, 6)), 1.0
     for end, cost in zip(ends, costs, strict=True):
@@ -195,7 +195,7 @@ def refused(views: Sequence[View], start: Float, status: Status, reason: str, ro
 def judged_of(estimate: Estimate, pose: Float) -> Judged:
     """Return the costs of the initial extrinsic and of a pose (4, 4), on the same points."""
     judge = estimate.refined.judge
-    return Judged(judge.name, judge.unit, *estimate.final.judge.costs([estimate.start, pose]))
+    return Judged(judge.name, judge.unit, *estimate.final.judge.costs([estimate.refined.start, pose]))
 
 
 def remarks_of(views: Sequence[View]) -> tuple[str, ...]:
@@ -214,7 +214,7 @@ def _with_prior(
     if start_sigma is None:
         return None
     pose = estimate.final.end.pose
-    mean = with_start(pose, likely, estimate.start, start_sigma, model)
+    mean = with_start(pose, likely, estimate.refined.start, start_sigma, model)
     if mean is None:
         return None
     judged = judged_of(estimate, mean[0])

@@ -204,7 +204,7 @@ class _Solved:
         ends = []
         for pose in poses:
             end = rounds((), start, pose, judge, reach_px=REACH_AFTER_SEARCH_PX, found_by="initialize")
-            if end.solved:
+            if end.status.solved:
                 ends.append(end)
         if not ends:
             return None
