@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from p2o import InputError, se3
-from p2o.calibration.adjustment import Adjustment, MotionFit, Nuisance, TimeFit, fit_with_nuisances
+from p2o.calibration.adjustment import Adjustment, MotionFit, Nuisance, fit_with_nuisances
 from p2o.geometry.motion import EgoMotion, MotionPrior, moved
 from p2o.geometry.pose_error import pose_error
 from p2o.reading import RadialError
+from p2o.results.result import TimeOffset
 from p2o.solving import PointToLine
 from p2o_plugins.solve.lm import METHOD as LM
 
@@ -97,7 +98,7 @@ def test_motions_or_an_offset_that_are_unknown_as_well_make_the_place_along_the_
     assert more[5, 5] > 1.5 * alone[5, 5]  # along the road, the way it drives
     problem = pairs(count=300, cameras=FOUR, noise_px=0.7)
     alone = fitted(problem, NEAR, fits_cameras=False)
-    both = fitted(problem, NEAR, fits_cameras=False, twists=SPEEDS, time=TimeFit())
+    both = fitted(problem, NEAR, fits_cameras=False, twists=SPEEDS, time=UNKNOWN)
     ratio = np.diag(both.covariance) / np.diag(alone.covariance)
     assert ratio[5] > 1.5, "z of the camera is along the road"
     assert ratio[4] < 1.3
@@ -187,6 +188,7 @@ def test_a_twist_turns_to_the_left_and_sweeps_of_one_drive_may_all_differ_from_t
 
 SPEEDS = np.array([[0, 0, 0.0, 14, 0, 0], [0, 0, 0.2, 6, 0, 0], [0, 0, -0.1, 9, 0, 0], [0, 0, 0, 0, 0, 0]])
 FOUR = (PINHOLE,) * 4
+UNKNOWN = TimeOffset(0.0, 0.05, used=True)
 
 
 def as_told(problem: PointToLine, twists: np.ndarray, later_s: float) -> PointToLine:
@@ -201,12 +203,12 @@ def as_told(problem: PointToLine, twists: np.ndarray, later_s: float) -> PointTo
 @pytest.mark.parametrize("later_s", [0.012, -0.03])
 def test_exact_pairs_of_several_speeds_tell_the_offset_and_the_pose(later_s: float) -> None:
     problem = as_told(pairs(count=600, cameras=FOUR), SPEEDS, later_s)
-    found = fitted(problem, NEAR, fits_cameras=False, twists=SPEEDS, time=TimeFit())
+    found = fitted(problem, NEAR, fits_cameras=False, twists=SPEEDS, time=UNKNOWN)
     assert found.time.offset_s == pytest.approx(later_s, abs=5e-4)
     assert found.time.sigma_s < 0.005
     assert pose_error(found.camera_from_lidar, TRUTH).translation_m < 0.004
     moved_on = as_told(problem, SPEEDS, -0.01)
-    again = fitted(moved_on, NEAR, fits_cameras=False, twists=SPEEDS, time=TimeFit(0.01))
+    again = fitted(moved_on, NEAR, fits_cameras=False, twists=SPEEDS, time=replace(UNKNOWN, offset_s=0.01))
     assert again.time.offset_s == pytest.approx(found.time.offset_s, abs=1e-4), "of points that are moved already"
     without = fitted(problem, NEAR, fits_cameras=False)
     assert without.time is None
@@ -216,7 +218,7 @@ def test_exact_pairs_of_several_speeds_tell_the_offset_and_the_pose(later_s: flo
 def test_one_speed_cannot_be_told_from_a_pose_and_leaves_the_offset_at_zero() -> None:
     same = np.tile([0, 0, 0, 10.0, 0, 0], (4, 1))
     problem = as_told(pairs(count=600, cameras=FOUR), same, 0.02)
-    found = fitted(problem, NEAR, fits_cameras=False, twists=same, time=TimeFit())
+    found = fitted(problem, NEAR, fits_cameras=False, twists=same, time=UNKNOWN)
     assert abs(found.time.offset_s) < 1e-3
     assert found.time.sigma_s == pytest.approx(0.05, rel=0.05)
 
@@ -225,7 +227,7 @@ def test_offset_and_motions_are_told_apart() -> None:
     """Two raw sweeps, whose motions are unknown, beside two that were corrected by what is known."""
     twists = np.array([np.zeros(6), np.zeros(6), SPEEDS[0], SPEEDS[1]])
     late = as_told(as_measured(pairs(count=900, cameras=FOUR)), twists, 0.02)
-    found = fitted(late, NEAR, fits_cameras=True, prior=PRIOR, twists=twists, time=TimeFit())
+    found = fitted(late, NEAR, fits_cameras=True, prior=PRIOR, twists=twists, time=UNKNOWN)
     assert found.time.offset_s == pytest.approx(0.02, abs=3e-3)
     for fit, true in zip(found.motions[:2], MOTIONS, strict=True):
         assert fit.motion.speed_m_s == pytest.approx(true.speed_m_s, abs=0.5)
@@ -241,7 +243,7 @@ def test_the_stated_deviation_of_an_offset_covers_frames_that_err_each_by_itself
         problem = pairs(count=150, cameras=(PINHOLE,) * 8, seed=seed)
         shift = np.random.default_rng(seed).normal(0, 0.03, 8)[problem.frame]
         off = replace(problem, xyz=problem.xyz + shift[:, None] * [1.0, 0, 0])
-        found = fitted(off, TRUTH, fits_cameras=False, twists=twists, time=TimeFit()).time
+        found = fitted(off, TRUTH, fits_cameras=False, twists=twists, time=UNKNOWN).time
         errors.append(found.offset_s)
         stated.append(found.sigma_s)
     ratio = np.sqrt(np.mean(np.square(errors))) / np.mean(stated)

@@ -22,7 +22,7 @@ from p2o.geometry.motion import EgoMotion, MotionPrior, pose_at
 from p2o.geometry.radial_error import LARGEST, RadialError, RadialFit, is_correctable, slopes
 from p2o.problems.distinct_views import scenes_of, view_weights
 from p2o.problems.point_to_line import OUTLINE_CELL_PX, PointToLine
-from p2o.results.result import SweepMotion
+from p2o.results.result import SweepMotion, TimeOffset
 
 _ITERATIONS = 30
 _CONVERGED = 1e-7
@@ -46,14 +46,6 @@ class MotionFit:
     covariance: Float
 
 
-@dataclass(frozen=True)
-class TimeFit:
-    """The estimated delay of the images against their timestamps, with its standard deviation."""
-
-    offset_s: float = 0.0
-    sigma_s: float = TIME_SIGMA_S
-
-
 @dataclass(frozen=True, eq=False)
 class Adjustment:
     """The pose (4, 4) that fits the pairs best, and the nuisance parameters fitted with it.
@@ -70,7 +62,7 @@ class Adjustment:
     motions: tuple[MotionFit, ...]
     step_px: float
     places: int
-    time: TimeFit | None = None
+    time: TimeOffset | None = None
 
 
 @dataclass(frozen=True)
@@ -85,7 +77,7 @@ class Nuisance:
     errors: Mapping[Camera, RadialError] = field(default_factory=dict)
     motions: tuple[MotionFit, ...] = ()
     twists: Float | None = None
-    time: TimeFit | None = None
+    time: TimeOffset | None = None
     weights: Float | None = None
     scenes: Int | None = None
 
@@ -107,7 +99,7 @@ class Nuisance:
 
     def timed(self) -> Nuisance:
         """Return the same values with an offset in time to be estimated."""
-        return replace(self, time=TimeFit())
+        return replace(self, time=TimeOffset(0.0, TIME_SIGMA_S, used=True))
 
     def fit(self, problem: PointToLine, cameras: tuple[Camera, ...], pose: Float, *, fits_cameras: bool) -> Adjustment:
         """Fit pose and nuisance parameters to pairs, starting from these values; `cameras` are uncorrected."""
@@ -137,14 +129,17 @@ class Nuisance:
 
     def sweep_motions(self, views: Sequence[View]) -> tuple[SweepMotion, ...]:
         """Return the motions of those views whose sweeps are raw."""
-        motions = []
-        for view, fit in zip(views, self.motions, strict=bool(self.motions)):
-            if view.cloud_edges.time_s.any():
-                motion, (speed_sigma, turn_sigma) = fit.motion, np.sqrt(np.diag(fit.covariance)).tolist()
-                turn = float(np.degrees(motion.turn_rad_s)), float(np.degrees(turn_sigma))
-                twist = tuple(motion.twist.tolist())
-                motions.append(SweepMotion(view.name, motion.speed_m_s, speed_sigma, *turn, twist))
-        return tuple(motions)
+        return tuple(
+            sweep_motion(view.name, fit.motion, *np.sqrt(np.diag(fit.covariance)).tolist())
+            for view, fit in zip(views, self.motions, strict=bool(self.motions))
+            if view.cloud_edges.time_s.any()
+        )
+
+
+def sweep_motion(frame: str, motion: EgoMotion, speed_sigma: float, turn_sigma: float) -> SweepMotion:
+    """Return the motion of a frame as part of a result, with its standard deviations in m/s and rad/s."""
+    turn = float(np.degrees(motion.turn_rad_s)), float(np.degrees(turn_sigma))
+    return SweepMotion(frame, motion.speed_m_s, speed_sigma, *turn, tuple(motion.twist.tolist()))
 
 
 def fit_with_nuisances(
@@ -161,8 +156,8 @@ def fit_with_nuisances(
     64 px are one measurement (Liang and Zeger, 1986), in all frames of one scene. Cameras without a radial coefficient
     are not fitted.
     """
-    model = _Model.of(problem, np.asarray(camera_from_lidar, np.float64), nuisance, fits_cameras)
-    pose, state = np.asarray(camera_from_lidar, np.float64), model.start
+    model, pose = _Model.of(problem, camera_from_lidar, nuisance, fits_cameras), camera_from_lidar
+    state = model.start
     rows, own, residuals = model.linearised(pose, state)
     began = residuals
     for _ in range(_ITERATIONS):
@@ -180,14 +175,13 @@ def fit_with_nuisances(
     shared = slice(0, 6 + model.shared)
     surely = _SIGMA_INFLATION**2 * by_pairs.shared + by_prior.shared
     time_variance = surely[shared, shared].diagonal()[-1]
-    if model.time is not None:
+    if nuisance.time is not None:
         by_frame = _by_frame(model, system, rows, own, residuals, weight)
         time_variance = max(time_variance, by_frame + by_prior.shared[shared, shared].diagonal()[-1])
-    # With six places the fit has no residual for any pose: with few places, residuals underestimate the error.
-    spare = places / (places - 6) if places > 6 else None
     pose_covariance: Float | None = None
-    if spare is not None:
-        pose_covariance = (spare * by_pairs.shared + by_prior.shared)[:6, :6]
+    if places > 6:
+        # With six places the fit has no residual for any pose: with few places, residuals underestimate the error.
+        pose_covariance = (places / (places - 6) * by_pairs.shared + by_prior.shared)[:6, :6]
         # What the pose owes to the motions has their larger errors.
         of_pose = np.concatenate([np.zeros((6, 0)), *system.mixed[:, :6]], axis=1)
         by_motion = np.linalg.pinv(system.shared[:6, :6]) @ of_pose
@@ -233,16 +227,6 @@ class _Model:
             by_time = -(np.cross(velocity[:, :3], problem.xyz) + velocity[:, 3:])
         return cls(problem, nuisance, asked, by_shared, np.reshape(motions, (-1, 2)), by_time)
 
-    @property
-    def prior(self) -> MotionPrior | None:
-        """The prior of the motions; None where they are not fitted."""
-        return self.nuisance.prior
-
-    @property
-    def time(self) -> TimeFit | None:
-        """The initial offset in time; None where it is not fitted."""
-        return self.nuisance.time
-
     @cached_property
     def weights(self) -> Float:
         """The weights (F,) of the frames."""
@@ -251,14 +235,14 @@ class _Model:
     @property
     def shared(self) -> int:
         """How many numbers of the state are of all frames; the motions follow them."""
-        return int(self.by_shared.shape[1]) + (self.time is not None)
+        return int(self.by_shared.shape[1]) + (self.nuisance.time is not None)
 
     @property
     def start(self) -> Float:
         """The state (N,) of the problem as it is."""
         errors = [[error.focal, error.radial] for error in map(self.nuisance.error_of, self.asked)]
         widths = np.zeros(self.by_shared.shape[1] - 2 * len(self.asked))
-        offset = [] if self.time is None else [self.time.offset_s]
+        offset = [] if self.nuisance.time is None else [self.nuisance.time.offset_s]
         return np.concatenate([np.ravel(errors), widths, offset, self.motions.ravel()])
 
     def linearised(self, pose: Float, state: Float) -> tuple[Float, Float, Float]:
@@ -272,14 +256,14 @@ class _Model:
         # What a motion changes is small: its first order is enough.
         by_speed, by_turn = self._displacements()
         xyz = problem.xyz
-        if self.prior is not None:
+        if self.nuisance.prior is not None:
             change = (state[shared:].reshape(-1, 2) - self.motions)[problem.frame]
             xyz = xyz + change[:, :1] * by_speed + change[:, 1:] * by_turn
-        if self.time is not None:
-            xyz = xyz + (state[shared - 1] - self.time.offset_s) * self.by_time
+        if self.nuisance.time is not None:
+            xyz = xyz + (state[shared - 1] - self.nuisance.time.offset_s) * self.by_time
         residuals, by_pose = replace(problem, cameras=cameras, xyz=xyz).residuals_with_jacobian(pose)
         by_xyz = by_pose[:, 3:] @ pose[:3, :3]
-        by_time = (by_xyz * self.by_time).sum(axis=1, keepdims=True)[:, : self.time is not None]
+        by_time = (by_xyz * self.by_time).sum(axis=1, keepdims=True)[:, : self.nuisance.time is not None]
         rows = np.hstack([by_pose, self.by_shared, by_time])
         own = np.column_stack([(by_xyz * by_speed).sum(axis=1), (by_xyz * by_turn).sum(axis=1)])
         unseen = ~(np.isfinite(residuals) & np.isfinite(rows).all(axis=1))
@@ -291,16 +275,16 @@ class _Model:
 
     def _displacements(self) -> tuple[Float, Float]:
         """Return how points (K, 3) move in m by 1 m/s and by 1 rad/s of their sweeps' motions."""
-        if self.prior is None:
+        if self.nuisance.prior is None:
             return np.zeros((len(self.problem), 3)), np.zeros((len(self.problem), 3))
-        motion, time_s = self.prior.expected, self.problem.time_s[:, None]
+        motion, time_s = self.nuisance.prior.expected, self.problem.time_s[:, None]
         return time_s * motion.by_speed[3:], time_s * np.cross(motion.by_turn[:3], self.problem.xyz)
 
     @cached_property
     def _members(self) -> Any:
         """The pairs of each frame (F, K), none where no motions are fitted."""
         count = len(self.problem)
-        if self.prior is None:
+        if self.nuisance.prior is None:
             return sparse.csr_array((0, count))
         of_frame = (np.ones(count), (self.problem.frame, np.arange(count)))
         return sparse.csr_array(of_frame, shape=(len(self.motions), count))
@@ -318,8 +302,8 @@ class _Model:
     @cached_property
     def _common(self) -> tuple[Float, float]:
         """What the common part of all speeds takes from the precision of the motions: -c a a^T with a (2 F,)."""
-        assert self.prior is not None
-        own, common = self.prior.own_variance[0], self.prior.common_variance
+        assert self.nuisance.prior is not None
+        own, common = self.nuisance.prior.own_variance[0], self.nuisance.prior.common_variance
         a = np.zeros((len(self.motions), 2))
         a[:, 0] = self._root / own
         return a.ravel(), 1 / (1 / common + len(a) / own)
@@ -332,14 +316,14 @@ class _Model:
         shared, mixed, blocks = self._normal(rows, own, weight)
         first = np.zeros(6 + self.shared)
         first[6 : 6 + 2 * len(self.asked)] = np.tile(1 / _CAMERA_SIGMA**2, len(self.asked))
-        if self.time is not None:
+        if self.nuisance.time is not None:
             first[-1] = variance / TIME_SIGMA_S**2
         shared = shared + np.diag(first)
-        if self.prior is not None:
+        if self.nuisance.prior is not None:
             a, share = self._common
             shared = block_diag(shared, np.array([[1 / (variance * share)]]))
             mixed = np.concatenate([mixed, a.reshape(-1, 1, 2)], axis=1)
-            blocks = blocks + variance * self.weights[:, None, None] * np.diag(1 / self.prior.own_variance)
+            blocks = blocks + variance * self.weights[:, None, None] * np.diag(1 / self.nuisance.prior.own_variance)
         return BlockSystem(shared, mixed, blocks)
 
     def _normal(self, rows: Float, own: Float, weight: Float) -> tuple[Float, Float, Float]:
@@ -354,14 +338,14 @@ class _Model:
         shared = rows.T @ pull
         at = np.r_[0 : 2 * len(self.asked)]
         shared[6 + at] += np.tile(1 / _CAMERA_SIGMA**2, len(self.asked)) * state[at]
-        if self.time is not None:
+        if self.nuisance.time is not None:
             shared[-1] += variance / TIME_SIGMA_S**2 * state[self.shared - 1]
         of_motions = np.asarray(self._members @ (own * pull[:, None]))
-        if self.prior is None:
+        if self.nuisance.prior is None:
             return shared, of_motions.reshape(0, 2)
-        (a, share), motion = self._common, self.prior.expected
+        (a, share), motion = self._common, self.nuisance.prior.expected
         away = state[self.shared :].reshape(-1, 2) - [motion.speed_m_s, motion.turn_rad_s]
-        alone = self.weights[:, None] / self.prior.own_variance * away
+        alone = self.weights[:, None] / self.nuisance.prior.own_variance * away
         weighted = (self._root[:, None] * away).ravel() @ (a / np.repeat(self._root, 2))
         return np.append(shared, 0.0), of_motions + variance * (alone - share * weighted * a.reshape(-1, 2))
 
@@ -371,17 +355,17 @@ class _Model:
         Expected motions and times are not the true ones.
         """
         count = 6 + self.shared
-        if self.prior is None:
+        if self.nuisance.prior is None:
             shared = np.zeros((1, count))
-            if self.time is not None:
+            if self.nuisance.time is not None:
                 shared[0, -1] = variance / TIME_SIGMA_S
             return shared, sparse.csr_array((1, 0))
-        (a, _), own = self._common, np.tile(self.prior.own_variance, len(self.motions))
-        size, common = len(own), np.sqrt(self.prior.common_variance)
+        (a, _), own = self._common, np.tile(self.nuisance.prior.own_variance, len(self.motions))
+        size, common = len(own), np.sqrt(self.nuisance.prior.common_variance)
         shared = np.zeros((size + 2, count + 1))
         shared[:size, -1] = np.sqrt(own) * a
         shared[size, -1] = common * a.sum()
-        if self.time is not None:
+        if self.nuisance.time is not None:
             shared[size + 1, count - 1] = variance / TIME_SIGMA_S
         alone = variance * np.repeat(self.weights, 2) / np.sqrt(own)
         together = variance * common * np.where(np.arange(size) % 2, 0.0, np.repeat(self.weights, 2) / own)
@@ -395,7 +379,7 @@ class _Model:
         count, groups = len(self.problem), int(group.max()) + 1
         members = sparse.csr_array((psi, (group, np.arange(count))), shape=(groups, count))
         shared = np.asarray(members @ rows)
-        if self.prior is None:
+        if self.nuisance.prior is None:
             return shared, sparse.csr_array((groups, 0))
         columns = 2 * self.problem.frame[:, None] + np.array([0, 1])
         at = (own.ravel(), columns.ravel(), np.arange(0, 2 * count + 1, 2))
@@ -406,13 +390,15 @@ class _Model:
         """Return the state (N,) with errors of cameras and the offset in time kept within bounds."""
         count, out = 2 * len(self.asked), np.array(state)
         out[:count] = np.clip(out[:count], -0.5 * LARGEST, 0.5 * LARGEST)
-        if self.time is not None:
+        if self.nuisance.time is not None:
             out[self.shared - 1] = np.clip(out[self.shared - 1], -_MAX_OFFSET_S, _MAX_OFFSET_S)
         return out
 
-    def time_fit(self, state: Float, variance: float) -> TimeFit | None:
+    def time_fit(self, state: Float, variance: float) -> TimeOffset | None:
         """Read the time offset from the state (N,), with its variance."""
-        return None if self.time is None else TimeFit(float(state[self.shared - 1]), float(np.sqrt(variance)))
+        if self.nuisance.time is None:
+            return None
+        return TimeOffset(float(state[self.shared - 1]), float(np.sqrt(variance)), used=True)
 
     def camera_fits(self, state: Float, covariance: Float) -> tuple[RadialFit, ...]:
         """Read the corrections of the cameras from the state (N,); `covariance` is that of pose and state."""
@@ -428,11 +414,12 @@ class _Model:
 
     def motion_fits(self, state: Float, covariances: Float) -> tuple[MotionFit, ...]:
         """Read the motions from the state (N,); `covariances` (F, 2, 2) are theirs."""
-        motions, expected = state[self.shared :].reshape(-1, 2), None if self.prior is None else self.prior.expected
+        prior, motions = self.nuisance.prior, state[self.shared :].reshape(-1, 2)
+        if prior is None:
+            return ()
         return tuple(
-            MotionFit(replace(expected, speed_m_s=float(speed), turn_rad_s=float(turn)), covariance)
+            MotionFit(replace(prior.expected, speed_m_s=float(speed), turn_rad_s=float(turn)), covariance)
             for (speed, turn), covariance in zip(motions, covariances, strict=True)
-            if expected is not None
         )
 
 

@@ -77,11 +77,6 @@ class Refined:
         solved = self.solved
         return solved[int(np.argmin(self.judge.costs([end.pose for end in solved])))]
 
-    @property
-    def far(self) -> bool:
-        """Whether the best pose is so far from the initial one that other edges may be visible from it."""
-        return is_far(self.start, self.best.pose)
-
 
 @dataclass(frozen=True, eq=False)
 class Estimate:

@@ -9,7 +9,7 @@ from typing import TypeGuard
 import numpy as np
 
 from p2o.arrays import Float
-from p2o.calibration.adjustment import Adjustment, Nuisance, TimeFit
+from p2o.calibration.adjustment import Adjustment, Nuisance
 from p2o.calibration.intrinsics import IntrinsicsEstimate
 from p2o.calibration.options import PipelineOptions
 from p2o.calibration.rounds import REACH_AFTER_SEARCH_PX, End, Rounds
@@ -98,7 +98,7 @@ def estimate_nuisances(
         fit = nuisance.fit(best.pairs, cameras, best.pose, fits_cameras=fits_cameras)
         return NuisanceEstimate(best, judge, nuisance, covariance=fit.covariance, places=fit.places)
     refined: Adjustment | None = None
-    offset: TimeFit | None = None
+    offset: TimeOffset | None = None
     if refines and any(judge.camera_errors):
         corrected_cameras = _cameras_corrected(raw, start, best, judge, nuisance, rounds)
         if corrected_cameras is not None:
@@ -116,7 +116,7 @@ def estimate_nuisances(
         if better is not None and time_fit is not None and abs(time_fit.offset_s) > _SIGNIFICANT * time_fit.sigma_s:
             best, judge, refined = better
             nuisance, offset = nuisance.after(refined), refined.time
-    time = None if offset is None else TimeOffset(offset.offset_s, offset.sigma_s, nuisance.time is not None)
+    time = None if offset is None else replace(offset, used=nuisance.time is not None)
     corrected = bool(nuisance.errors)
     if refines and refined is not None:
         fit = refined
