@@ -158,8 +158,9 @@ class _State:
     def moved(self, step: Float) -> _State:
         """Return the state after a step (N,) of its first N parameters."""
         step = np.concatenate([step, np.zeros(6 + self.motions.size + self.errors.size - len(step))])
-        errors = self.errors + step[6 + self.motions.size :].reshape(-1, 4)
-        return _State(se3.exp(step[:6]) @ self.pose, self.motions + step[6 : 6 + self.motions.size], _bounded(errors))
+        errors = np.clip(self.errors + step[6 + self.motions.size :].reshape(-1, 4), -5 * _PRIOR, 5 * _PRIOR)
+        motions = self.motions + step[6 : 6 + self.motions.size]
+        return _State(se3.exp(step[:6]) @ self.pose, motions, errors.clip(-0.19, 0.19))
 
 
 class _Seen(NamedTuple):
@@ -431,7 +432,3 @@ def _error(values: Float, camera: Camera) -> RadialError:
     """Return the error of numbers (4,): focal, radial, x and y in focal lengths."""
     focal, radial, x, y = values.tolist()
     return RadialError(focal, radial, x * camera.focal_px, y * camera.focal_px)
-
-
-def _bounded(errors: Float) -> Float:
-    return np.clip(errors, -5 * _PRIOR, 5 * _PRIOR).clip(-0.19, 0.19)

@@ -136,21 +136,19 @@ class _Scatter:
         scenes = len(np.unique(scenes_of(estimate.views)))
         # What moves in a scene makes edges of other views, and leaves the errors of the scene as they are.
         different = min(view_count(pairs.xyz, pairs.side, pairs.frame), scenes) if len(pairs) else 1.0
-        by_judge = judge.covariance(end.pose)
+        by_judge, cells, min_cells = judge.covariance(end.pose), agreement.places, judge.min_cells
         if by_judge is not None:
             budget = ErrorBudget.of_intervals(by_judge * scenes / max(different, 1.0), pairs, end.pose, different)
-            cells, min_cells = agreement.places, judge.min_cells
         elif end.pairs is not None:
-            if final.covariance is None:
-                return cls(None, final.places, MIN_PLACES)
-            budget = ErrorBudget.of(final.covariance, pairs, end.pose, different)
             cells, min_cells = final.places, MIN_PLACES
+            if final.covariance is None:
+                return cls(None, cells, min_cells)
+            budget = ErrorBudget.of(final.covariance, pairs, end.pose, different)
         else:
             own = None if end.problem is None else own_covariance(end.problem, end.pose, agreement.places)
             if own is None:
                 return None
             budget = ErrorBudget.of(own, pairs, end.pose, different)
-            cells, min_cells = agreement.places, judge.min_cells
         if final.intrinsics is not None:
             budget = replace(budget, cameras=final.intrinsics.covariance, absorbed=final.intrinsics.absorbed)
         return cls(budget, cells, min_cells)

@@ -182,16 +182,6 @@ class Camera:
         polynomial is not injective. Pixels outside the image are returned, too; see `in_image`.
         """
         xyz = np.asarray(xyz, dtype=np.float64)
-        if self.is_pinhole:
-            fx, fy, cx, cy = self.params
-            depth = xyz[..., 2]
-            scale = 1.0 / np.where(depth > _MIN_DEPTH_M, depth, np.nan)
-            uv = np.empty((*xyz.shape[:-1], 2))
-            np.multiply(xyz[..., 0], scale, out=uv[..., 0])
-            np.multiply(xyz[..., 1], scale, out=uv[..., 1])
-            uv *= (fx, fy)
-            uv += (cx, cy)
-            return uv
         if self._closed is not None:
             uv = np.empty((*xyz.shape[:-1], 2))
             uv[..., 0], uv[..., 1] = self.pixels_of(xyz[..., 0], xyz[..., 1], xyz[..., 2])

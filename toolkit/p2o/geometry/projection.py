@@ -77,15 +77,18 @@ class Projection:
     def pixels(self, a: Float, b: Float) -> tuple[Float, Float]:
         """Return pixels u, v of points of the plane z = 1, a = x / z and b = y / z, of equal shape."""
         (fx, fy), (cx, cy) = self.focal, self.centre
-        square = a * a + b * b
-        factor = self._factor(square)
-        u, v = a * factor, b * factor
-        if not self.is_radial:
-            p1, p2 = self._tangential
-            u += 2 * p1 * a * b + p2 * (square + 2 * a * a)
-            v += 2 * p2 * a * b + p1 * (square + 2 * b * b)
-        u *= fx
-        v *= fy
+        if self.lens.fisheye or any(self.params[self.lens.focal + 2 :]):
+            square = a * a + b * b
+            factor = self._factor(square)
+            u, v = a * factor, b * factor
+            if not self.is_radial:
+                p1, p2 = self._tangential
+                u += 2 * p1 * a * b + p2 * (square + 2 * a * a)
+                v += 2 * p2 * a * b + p1 * (square + 2 * b * b)
+            u *= fx
+            v *= fy
+        else:
+            u, v = a * fx, b * fy
         u += cx
         v += cy
         return u, v
