@@ -86,7 +86,7 @@ def test_copies_of_a_view_do_not_reduce_the_covariance_of_pairs() -> None:
     covariances = []
     for views in ([first, second], [first, *[second] * 8]):
         its = weighted(views, TRUTH)
-        nuisance = Nuisance.expected(its, None).of_views(its)
+        nuisance = Nuisance.expected(its, None)
         problem = edge_pairs(its, TRUTH, 5.0).weighted(view_weights(its))
         fit = nuisance.fit(problem, tuple(view.camera for view in its), TRUTH, fits_cameras=False)
         assert fit.covariance is not None

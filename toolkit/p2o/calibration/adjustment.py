@@ -83,19 +83,13 @@ class Nuisance:
 
     @classmethod
     def expected(cls, views: Sequence[View], prior: MotionPrior | None, twists: Float | None = None) -> Nuisance:
-        """Return the values that are expected before any pair is evaluated."""
-        if prior is None:
-            return cls(twists=twists)
-        motions = (MotionFit(prior.expected, prior.covariance),) * len(views)
-        return cls(prior, motions=motions, twists=twists)
+        """Return the values that are expected before any pair is evaluated, with the weights and scenes of views."""
+        motions = () if prior is None else (MotionFit(prior.expected, prior.covariance),) * len(views)
+        return cls(prior, motions=motions, twists=twists, weights=view_weights(views), scenes=scenes_of(views))
 
     def error_of(self, camera: Camera) -> RadialError:
         """Return the error of a camera; zero where none is known."""
         return self.errors.get(camera, RadialError())
-
-    def of_views(self, views: Sequence[View]) -> Nuisance:
-        """Return the same values with the weights and scenes of views."""
-        return replace(self, weights=view_weights(views), scenes=scenes_of(views))
 
     def timed(self) -> Nuisance:
         """Return the same values with an offset in time to be estimated."""

@@ -107,9 +107,14 @@ class Algorithm:
     needs: frozenset[str] = EDGES
 
     def visible(self, views: Sequence[View], camera_from_lidar: Float) -> VisibleViews:
-        """Return the views as visible from a pose (4, 4), with the motions that the options expect."""
-        nuisance = Nuisance.expected(views, motion_prior(views, self.options), known_twists(views, self.options))
-        return VisibleViews.of(views, camera_from_lidar, nuisance, directed=self.directed)
+        """Return the views as visible from a pose (4, 4), weighted by what each of them alone shows.
+
+        Edges with directions have those in the image axes of the pose; motions are those that the options expect.
+        """
+        turned = [view.as_seen_from(camera_from_lidar) for view in views] if self.directed else views
+        visible = weighted([view.without_hidden(camera_from_lidar) for view in turned], camera_from_lidar)
+        prior, twists = motion_prior(views, self.options), known_twists(views, self.options)
+        return VisibleViews(visible, Nuisance.expected(visible, prior, twists))
 
     def propose(self, views: VisibleViews, start: Float) -> list[Float]:
         """Return the poses (4, 4) to refine, best first; the initial extrinsic where the initializer proposes none."""
@@ -202,16 +207,6 @@ class VisibleViews:
 
     raw: Sequence[View]
     nuisance: Nuisance
-
-    @classmethod
-    def of(cls, views: Sequence[View], camera_from_lidar: Float, nuisance: Nuisance, *, directed: bool) -> VisibleViews:
-        """Return the views as visible at a pose (4, 4), weighted by what each of them alone shows.
-
-        With `directed`, edge directions are in the image axes of the pose.
-        """
-        turned = [view.as_seen_from(camera_from_lidar) for view in views] if directed else views
-        visible = weighted([view.without_hidden(camera_from_lidar) for view in turned], camera_from_lidar)
-        return cls(visible, nuisance.of_views(visible))
 
     @cached_property
     def corrected(self) -> list[View]:

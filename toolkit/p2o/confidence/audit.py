@@ -90,7 +90,7 @@ def edge_step(
     pose = begin = camera_from_lidar if around is None else around
     raw = weighted([view.as_seen_from(begin).without_hidden(begin) for view in views], begin)
     cameras = tuple(view.camera for view in raw)
-    nuisance = Nuisance.expected(raw, motion_prior(raw, options)).of_views(raw)
+    nuisance = Nuisance.expected(raw, motion_prior(raw, options))
     sparse = is_sparse(raw, options.interval_deg)
     if sparse and _are_different(matcher(nuisance.views(raw), begin, reach_px), len(raw)):
         return _interval_step(raw, nuisance, camera_from_lidar, begin, matcher, options)
