@@ -9,12 +9,12 @@ import numpy as np
 import p2o
 import pytest
 from p2o import CloudFeatures, Side, View
+from p2o.calibration.adjustment import Nuisance
 from p2o.calibration.judge import SIGMA_PX, DirectedJudge
-from p2o.calibration.nuisance import Nuisance
 from p2o.geometry.perturb import wrong_start
 from p2o.geometry.pose_error import pose_error
 from p2o.host.guard import GuardedMatcher
-from p2o.problems.distinct_views import DistinctViews, evenly_chosen, scenes_of, view_weights, weighted
+from p2o.problems.distinct_views import distinct_views, evenly_chosen, scenes_of, view_weights, weighted
 from p2o.problems.interval_likelihood import IntervalLikelihood
 from p2o.problems.pairing import edge_pairs
 from p2o.run.pipeline import Pipeline
@@ -86,7 +86,7 @@ def test_copies_of_a_view_do_not_reduce_the_covariance_of_pairs() -> None:
     covariances = []
     for views in ([first, second], [first, *[second] * 8]):
         its = weighted(views, TRUTH)
-        nuisance = Nuisance.expected(its, None).of_views(its)
+        nuisance = Nuisance.expected(its, None)
         problem = edge_pairs(its, TRUTH, 5.0).weighted(view_weights(its))
         fit = nuisance.fit(problem, tuple(view.camera for view in its), TRUTH, fits_cameras=False)
         assert fit.covariance is not None
@@ -158,6 +158,6 @@ def test_a_subset_of_views_is_even_over_their_weight_and_frames_without_edges_ha
     assert chosen[:10].tolist() == list(range(10))
     assert 11 <= len(chosen) <= 12
     nothing = np.zeros((0, 3)), np.zeros(0, np.int8), np.zeros(0, np.int64)
-    distinct = DistinctViews.of(*nothing, 3)
-    assert distinct.weights.tolist() == [1.0] * 3
-    assert distinct.scenes.tolist() == [0, 1, 2]
+    weights, scenes = distinct_views(*nothing, 3)
+    assert weights.tolist() == [1.0] * 3
+    assert scenes.tolist() == [0, 1, 2]

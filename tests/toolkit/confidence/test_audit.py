@@ -9,8 +9,7 @@ import numpy as np
 import p2o
 import pytest
 from p2o import se3
-from p2o.confidence import audit as audits
-from p2o.confidence.audit import AXES, EdgeStep, Evidence, Rates, audit, edge_step
+from p2o.confidence.audit import AXES, DEGREES, LEAD_EDGES, EdgeStep, Evidence, Rates, audit, edge_step
 from p2o.confidence.explanation import explanations
 from p2o.results.check import Check, CheckStatus
 from p2o.results.evidence import Agreement
@@ -119,9 +118,8 @@ def test_errors_as_they_are_taken_to_be_spread_raise_no_more_alarms_than_asked()
     mixed = rng.normal(size=(6, 6))
     covariance = 1e-4 * (mixed @ mixed.T + np.eye(6))
     half = np.linalg.cholesky(covariance)
-    tail = audits.TAIL
-    gauss, scale = rng.standard_normal((2000, 6)), np.sqrt(tail.degrees / rng.chisquare(tail.degrees, 2000))
-    words = [said(half @ (tail.scale * g * s), covariance).holding for g, s in zip(gauss, scale, strict=True)]
+    gauss, scale = rng.standard_normal((2000, 6)), np.sqrt(DEGREES / rng.chisquare(DEGREES, 2000))
+    words = [said(half @ (g * s), covariance).holding for g, s in zip(gauss, scale, strict=True)]
     assert sum(word is CheckStatus.OFF for word in words) / 2000 < 0.015
 
 
@@ -139,7 +137,7 @@ def test_an_error_at_the_limit_of_an_axis_is_noticed_as_often_as_said() -> None:
 def test_a_pose_that_a_search_finds_counts_only_where_edges_clearly_meet_better_there() -> None:
     near = EdgeStep(np.eye(4), np.zeros(6), np.eye(6) * 1e-4, SURE, 100)
     far = replace(near, error=np.array([0.0, 0, 3.0, 0, 0, 0]))
-    for lead, word in ((audits.TAIL.lead_edges - 1, CheckStatus.HOLDS), (audits.TAIL.lead_edges + 1, CheckStatus.OFF)):
+    for lead, word in ((LEAD_EDGES - 1, CheckStatus.HOLDS), (LEAD_EDGES + 1, CheckStatus.OFF)):
         evidence = Evidence(("frame",), np.eye(4), near, far, lead)
         assert audit(evidence, Rates()).holding is word
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from p2o import Camera
-from p2o.confidence.frame_choice import SeenEdges, Wanted, choose, open_axes, shortage
+from p2o.confidence.frame_choice import SeenEdges, choose, open_axes, shortage
 from p2o.features.side import Side
 from p2o.geometry import se3
 from p2o.problems.point_to_line import PointToLine
@@ -66,7 +66,7 @@ def test_likely_errors_fall_with_every_frame_and_the_choice_ends_when_they_are_s
     sizes = [step.accuracy.translation_m for step in choose(frames, count=8) if step.accuracy is not None]
     assert len(sizes) == 8
     assert sizes == sorted(sizes, reverse=True)
-    wanted = Wanted(90.0, (sizes[1] + sizes[2]) / 2)
+    wanted = (90.0, (sizes[1] + sizes[2]) / 2)
     assert len(choose(frames, wanted=wanted)) == 3
     assert len(choose(frames, least_gain=0.9)) == 1
     assert [len({step.name for step in choose(frames, count=count)}) for count in (1, 3, 5)] == [1, 3, 5]
@@ -76,7 +76,7 @@ def test_what_stays_open_is_named_with_its_reason() -> None:
     poles = [frame(f"{i}", UPRIGHT, seed=i) for i in range(3)]
     (*_, last) = choose(poles, count=3)
     assert last.accuracy.pitch_deg > last.accuracy.yaw_deg
-    words = open_axes(last.accuracy, Wanted(90.0, 0.05))
+    words = open_axes(last.accuracy, (90.0, 0.05))
     assert words == ["height"]
     assert "0 of" in shortage(poles, words)
     assert "level edges" in shortage(poles, words)

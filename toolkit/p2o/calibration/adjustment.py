@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -13,13 +13,16 @@ from scipy.linalg import block_diag
 
 from p2o.arrays import Float, Int
 from p2o.calibration.block_system import BlockSystem
-from p2o.errors import InputError
+from p2o.calibration.intrinsics import IntrinsicsEstimate, estimate_intrinsics
 from p2o.features.side import Side
+from p2o.features.view import View
 from p2o.geometry import se3
 from p2o.geometry.camera import Camera
-from p2o.geometry.motion import EgoMotion, MotionPrior
+from p2o.geometry.motion import EgoMotion, MotionPrior, pose_at
 from p2o.geometry.radial_error import LARGEST, RadialError, RadialFit, is_correctable, slopes
+from p2o.problems.distinct_views import scenes_of, view_weights
 from p2o.problems.point_to_line import OUTLINE_CELL_PX, PointToLine
+from p2o.results.result import SweepMotion, TimeOffset
 
 _ITERATIONS = 30
 _CONVERGED = 1e-7
@@ -43,14 +46,6 @@ class MotionFit:
     covariance: Float
 
 
-@dataclass(frozen=True)
-class TimeFit:
-    """The estimated delay of the images against their timestamps, with its standard deviation."""
-
-    offset_s: float = 0.0
-    sigma_s: float = TIME_SIGMA_S
-
-
 @dataclass(frozen=True, eq=False)
 class Adjustment:
     """The pose (4, 4) that fits the pairs best, and the nuisance parameters fitted with it.
@@ -67,44 +62,96 @@ class Adjustment:
     motions: tuple[MotionFit, ...]
     step_px: float
     places: int
-    time: TimeFit | None = None
+    time: TimeOffset | None = None
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """Values of the nuisance parameters: errors of cameras, motions (one a view, or none) and an offset in time.
+
+    `twists` (F, 6) are the velocities that make the offset observable, None where it is not. `weights` (F,) and
+    `scenes` (F,) are those of the views (`p2o.problems.distinct_views`), None where every view counts once.
+    """
+
+    prior: MotionPrior | None = None
+    errors: Mapping[Camera, RadialError] = field(default_factory=dict)
+    motions: tuple[MotionFit, ...] = ()
+    twists: Float | None = None
+    time: TimeOffset | None = None
+    weights: Float | None = None
+    scenes: Int | None = None
+
+    @classmethod
+    def expected(cls, views: Sequence[View], prior: MotionPrior | None, twists: Float | None = None) -> Nuisance:
+        """Return the values that are expected before any pair is evaluated, with the weights and scenes of views."""
+        motions = () if prior is None else (MotionFit(prior.expected, prior.covariance),) * len(views)
+        return cls(prior, motions=motions, twists=twists, weights=view_weights(views), scenes=scenes_of(views))
+
+    def error_of(self, camera: Camera) -> RadialError:
+        """Return the error of a camera; zero where none is known."""
+        return self.errors.get(camera, RadialError())
+
+    def timed(self) -> Nuisance:
+        """Return the same values with an offset in time to be estimated."""
+        return replace(self, time=TimeOffset(0.0, TIME_SIGMA_S, used=True))
+
+    def fit(self, problem: PointToLine, cameras: tuple[Camera, ...], pose: Float, *, fits_cameras: bool) -> Adjustment:
+        """Fit pose and nuisance parameters to pairs, starting from these values; `cameras` are uncorrected."""
+        return fit_with_nuisances(replace(problem, cameras=cameras), pose, self, fits_cameras=fits_cameras)
+
+    def after(self, fit: Adjustment) -> Nuisance:
+        """Return the values after a fit."""
+        errors = dict(self.errors) | {c.camera: c.error for c in fit.cameras}
+        return replace(self, errors=errors, motions=fit.motions, time=fit.time)
+
+    def views(self, raw: Sequence[View]) -> list[View]:
+        """Return raw views with cameras corrected, and features moved to the time of the image."""
+        if self.motions:
+            raw = [view.untwisted(fit.motion.twist) for view, fit in zip(raw, self.motions, strict=True)]
+        if self.time is not None and self.twists is not None:
+            offset_s = self.time.offset_s
+            raw = [view.moved(pose_at(twist, -offset_s)) for view, twist in zip(raw, self.twists, strict=True)]
+        cameras = [self.error_of(view.camera).corrected(view.camera) for view in raw]
+        return [replace(view, camera=camera) for view, camera in zip(raw, cameras, strict=True)]
+
+    def intrinsics(
+        self, raw: Sequence[View], camera_from_lidar: Float, parameters: Sequence[bool]
+    ) -> IntrinsicsEstimate | None:
+        """Estimate errors of the cameras of raw views at a pose (4, 4), together with the motions of their sweeps."""
+        motions = [fit.motion for fit in self.motions]
+        return estimate_intrinsics(self.views(raw), camera_from_lidar, parameters, self.prior, motions)
+
+    def sweep_motions(self, views: Sequence[View]) -> tuple[SweepMotion, ...]:
+        """Return the motions of those views whose sweeps are raw."""
+        return tuple(
+            sweep_motion(view.name, fit.motion, *np.sqrt(np.diag(fit.covariance)).tolist())
+            for view, fit in zip(views, self.motions, strict=bool(self.motions))
+            if view.cloud_edges.time_s.any()
+        )
+
+
+def sweep_motion(frame: str, motion: EgoMotion, speed_sigma: float, turn_sigma: float) -> SweepMotion:
+    """Return the motion of a frame as part of a result, with its standard deviations in m/s and rad/s."""
+    turn = float(np.degrees(motion.turn_rad_s)), float(np.degrees(turn_sigma))
+    return SweepMotion(frame, motion.speed_m_s, speed_sigma, *turn, tuple(motion.twist.tolist()))
 
 
 def fit_with_nuisances(
-    problem: PointToLine,
-    camera_from_lidar: Float,
-    *,
-    fits_cameras: bool = True,
-    known: Mapping[Camera, RadialError] | None = None,
-    prior: MotionPrior | None = None,
-    motions: Sequence[EgoMotion] = (),
-    twists: Float | None = None,
-    time: TimeFit | None = None,
-    weights: Float | None = None,
-    scenes: Int | None = None,
+    problem: PointToLine, camera_from_lidar: Float, nuisance: Nuisance, *, fits_cameras: bool = True
 ) -> Adjustment:
     """Fit pose, radial errors of cameras, motions of sweeps and a time offset to pairs by least squares.
 
-    The cameras of `problem` are uncorrected; `known` are their initial errors, fixed with `fits_cameras` False. Motions
-    are fitted if there is a `prior`; the points are compensated for `motions`, one a frame (none: raw points). A time
-    offset is fitted from the initial value `time`; `twists` (F, 6) are the known velocities of the LiDAR, zero where
-    unknown. The robust sum is that of the problem (Huber; Eq. 1 of the paper). With cameras, the widths of outlines are
-    fitted, too: systematic edge bias must not be absorbed by the focal length. Gaussian priors: errors of cameras 1 %
-    and 0.02, the time offset 50 ms, motions as `prior`. The prior of a motion counts with the weight of its frame, as
-    its pairs do (`weights` (F,), with a mean of 1). Covariances are cluster robust: pairs of one direction within 64 px
-    are one measurement (Liang and Zeger, 1986), in all frames of one of the `scenes` (F,). Cameras without a radial
-    coefficient are not fitted. Raises InputError for a problem without pairs, and where motions or twists are not one
-    a frame.
+    The cameras of `problem` are uncorrected; the fit starts from the values of `nuisance`, whose errors of cameras are
+    fixed with `fits_cameras` False. Motions are fitted if there is a prior; the points are compensated for those of
+    `nuisance`. A time offset is fitted if `nuisance` has one. The robust sum is that of the problem (Huber; Eq. 1 of
+    the paper). With cameras, the widths of outlines are fitted, too: systematic edge bias must not be absorbed by the
+    focal length. Gaussian priors: errors of cameras 1 % and 0.02, the time offset 50 ms, motions as their prior, which
+    counts with the weight of its frame, as its pairs do. Covariances are cluster robust: pairs of one direction within
+    64 px are one measurement (Liang and Zeger, 1986), in all frames of one scene. Cameras without a radial coefficient
+    are not fitted.
     """
-    if not len(problem):
-        raise InputError("there are no pairs to fit", expected="at least one pair", got="none")
-    if motions and len(motions) != len(problem.cameras):
-        raise InputError("the motions are not one a frame", expected=len(problem.cameras), got=len(motions))
-    if time is not None and (twists is None or len(twists) != len(problem.cameras)):
-        got = "none" if twists is None else len(twists)
-        raise InputError("the velocities are not one a frame", expected=len(problem.cameras), got=got)
-    model = _Model.of(problem, camera_from_lidar, fits_cameras, known or {}, prior, motions, twists, time, weights)
-    pose, state = np.asarray(camera_from_lidar, np.float64), model.start
+    model, pose = _Model.of(problem, camera_from_lidar, nuisance, fits_cameras), camera_from_lidar
+    state = model.start
     rows, own, residuals = model.linearised(pose, state)
     began = residuals
     for _ in range(_ITERATIONS):
@@ -117,19 +164,18 @@ def fit_with_nuisances(
         rows, own, residuals = model.linearised(pose, state)
         if np.abs(step).max() < _CONVERGED:
             break
-    scores, places = _clustered(model, rows, own, residuals, scenes)
+    scores, places = _clustered(model, rows, own, residuals)
     by_pairs, by_prior = system.covariance(*scores), system.covariance(*model.prior_scores(variance))
     shared = slice(0, 6 + model.shared)
     surely = _SIGMA_INFLATION**2 * by_pairs.shared + by_prior.shared
     time_variance = surely[shared, shared].diagonal()[-1]
-    if time is not None:
+    if nuisance.time is not None:
         by_frame = _by_frame(model, system, rows, own, residuals, weight)
         time_variance = max(time_variance, by_frame + by_prior.shared[shared, shared].diagonal()[-1])
-    # With six places the fit has no residual for any pose: with few places, residuals underestimate the error.
-    spare = places / (places - 6) if places > 6 else None
     pose_covariance: Float | None = None
-    if spare is not None:
-        pose_covariance = (spare * by_pairs.shared + by_prior.shared)[:6, :6]
+    if places > 6:
+        # With six places the fit has no residual for any pose: with few places, residuals underestimate the error.
+        pose_covariance = (places / (places - 6) * by_pairs.shared + by_prior.shared)[:6, :6]
         # What the pose owes to the motions has their larger errors.
         of_pose = np.concatenate([np.zeros((6, 0)), *system.mixed[:, :6]], axis=1)
         by_motion = np.linalg.pinv(system.shared[:6, :6]) @ of_pose
@@ -150,62 +196,47 @@ def fit_with_nuisances(
 class _Model:
     """What residuals depend on beside the pose.
 
-    The state (N,) is focal and radial of every camera in `asked`, the widths of outlines, the time offset if there is
-    a `time`, then speed and turn of every frame. `by_shared` are derivatives by the first two, computed once. `motions`
-    (F, 2) are those that the points are corrected for, none without a `prior`; `by_time` (K, 3) is their velocity.
-    `weights` (F,) are those of the frames.
+    The state (N,) is focal and radial of every camera in `asked`, the widths of outlines, the time offset if one is
+    fitted, then speed and turn of every frame. `by_shared` are derivatives by the first two, computed once. `motions`
+    (F, 2) are those that the points are corrected for; `by_time` (K, 3) is the velocity of the points.
     """
 
     problem: PointToLine
-    errors: Mapping[Camera, RadialError]
+    nuisance: Nuisance
     asked: tuple[Camera, ...]
     by_shared: Float
-    prior: MotionPrior | None
     motions: Float
-    time: TimeFit | None
     by_time: Float
-    weights: Float
 
     @classmethod
-    def of(
-        cls,
-        problem: PointToLine,
-        pose: Float,
-        fits_cameras: bool,
-        known: Mapping[Camera, RadialError],
-        prior: MotionPrior | None,
-        motions: Sequence[EgoMotion],
-        twists: Float | None,
-        time: TimeFit | None,
-        weights: Float | None,
-    ) -> _Model:
-        correctable = [camera for camera in dict.fromkeys(problem.cameras) if is_correctable(camera)]
-        errors = {camera: known.get(camera, RadialError()) for camera in correctable}
-        by_shared = np.zeros((len(problem), 0))
+    def of(cls, problem: PointToLine, pose: Float, nuisance: Nuisance, fits_cameras: bool) -> _Model:
+        asked = tuple(filter(is_correctable, dict.fromkeys(problem.cameras))) if fits_cameras else ()
+        by_shared, by_time = np.zeros((len(problem), 0)), np.zeros((len(problem), 3))
         if fits_cameras:
+            errors = {camera: nuisance.error_of(camera) for camera in asked}
             by_shared = np.hstack([_by_error(problem, pose, errors), _outward(problem)])
-        if prior is not None and not motions:
-            motions = [EgoMotion()] * len(problem.cameras)
-        numbers = [[motion.speed_m_s, motion.turn_rad_s] for motion in motions] if prior is not None else []
-        by_time = np.zeros((len(problem), 3))
-        if time is not None and twists is not None:
-            velocity = np.asarray(twists, np.float64)[problem.frame]
+        motions = [[fit.motion.speed_m_s, fit.motion.turn_rad_s] for fit in nuisance.motions]
+        if nuisance.time is not None and nuisance.twists is not None:
+            velocity = nuisance.twists[problem.frame]
             by_time = -(np.cross(velocity[:, :3], problem.xyz) + velocity[:, 3:])
-        asked = tuple(correctable) if fits_cameras else ()
-        weights = np.ones(len(problem.cameras)) if weights is None else weights
-        return cls(problem, errors, asked, by_shared, prior, np.reshape(numbers, (-1, 2)), time, by_time, weights)
+        return cls(problem, nuisance, asked, by_shared, np.reshape(motions, (-1, 2)), by_time)
+
+    @cached_property
+    def weights(self) -> Float:
+        """The weights (F,) of the frames."""
+        return np.ones(len(self.problem.cameras)) if self.nuisance.weights is None else self.nuisance.weights
 
     @property
     def shared(self) -> int:
         """How many numbers of the state are of all frames; the motions follow them."""
-        return int(self.by_shared.shape[1]) + (self.time is not None)
+        return int(self.by_shared.shape[1]) + (self.nuisance.time is not None)
 
     @property
     def start(self) -> Float:
         """The state (N,) of the problem as it is."""
-        errors = [[self.errors[camera].focal, self.errors[camera].radial] for camera in self.asked]
+        errors = [[error.focal, error.radial] for error in map(self.nuisance.error_of, self.asked)]
         widths = np.zeros(self.by_shared.shape[1] - 2 * len(self.asked))
-        offset = [] if self.time is None else [self.time.offset_s]
+        offset = [] if self.nuisance.time is None else [self.nuisance.time.offset_s]
         return np.concatenate([np.ravel(errors), widths, offset, self.motions.ravel()])
 
     def linearised(self, pose: Float, state: Float) -> tuple[Float, Float, Float]:
@@ -214,21 +245,19 @@ class _Model:
         All are zero where a point is unseen.
         """
         problem, shared = self.problem, self.shared
-        errors = dict(self.errors) | {
-            camera: self._error(camera, state[2 * i : 2 * i + 2]) for i, camera in enumerate(self.asked)
-        }
-        cameras = tuple(errors[c].corrected(c) if c in errors else c for c in problem.cameras)
+        fitted = {camera: self._error(camera, state[2 * i : 2 * i + 2]) for i, camera in enumerate(self.asked)}
+        cameras = tuple(fitted.get(c, self.nuisance.error_of(c)).corrected(c) for c in problem.cameras)
         # What a motion changes is small: its first order is enough.
         by_speed, by_turn = self._displacements()
         xyz = problem.xyz
-        if self.prior is not None:
+        if self.nuisance.prior is not None:
             change = (state[shared:].reshape(-1, 2) - self.motions)[problem.frame]
             xyz = xyz + change[:, :1] * by_speed + change[:, 1:] * by_turn
-        if self.time is not None:
-            xyz = xyz + (state[shared - 1] - self.time.offset_s) * self.by_time
+        if self.nuisance.time is not None:
+            xyz = xyz + (state[shared - 1] - self.nuisance.time.offset_s) * self.by_time
         residuals, by_pose = replace(problem, cameras=cameras, xyz=xyz).residuals_with_jacobian(pose)
         by_xyz = by_pose[:, 3:] @ pose[:3, :3]
-        by_time = (by_xyz * self.by_time).sum(axis=1, keepdims=True)[:, : self.time is not None]
+        by_time = (by_xyz * self.by_time).sum(axis=1, keepdims=True)[:, : self.nuisance.time is not None]
         rows = np.hstack([by_pose, self.by_shared, by_time])
         own = np.column_stack([(by_xyz * by_speed).sum(axis=1), (by_xyz * by_turn).sum(axis=1)])
         unseen = ~(np.isfinite(residuals) & np.isfinite(rows).all(axis=1))
@@ -240,16 +269,16 @@ class _Model:
 
     def _displacements(self) -> tuple[Float, Float]:
         """Return how points (K, 3) move in m by 1 m/s and by 1 rad/s of their sweeps' motions."""
-        if self.prior is None:
+        if self.nuisance.prior is None:
             return np.zeros((len(self.problem), 3)), np.zeros((len(self.problem), 3))
-        motion, time_s = self.prior.expected, self.problem.time_s[:, None]
+        motion, time_s = self.nuisance.prior.expected, self.problem.time_s[:, None]
         return time_s * motion.by_speed[3:], time_s * np.cross(motion.by_turn[:3], self.problem.xyz)
 
     @cached_property
     def _members(self) -> Any:
         """The pairs of each frame (F, K), none where no motions are fitted."""
         count = len(self.problem)
-        if self.prior is None:
+        if self.nuisance.prior is None:
             return sparse.csr_array((0, count))
         of_frame = (np.ones(count), (self.problem.frame, np.arange(count)))
         return sparse.csr_array(of_frame, shape=(len(self.motions), count))
@@ -267,8 +296,8 @@ class _Model:
     @cached_property
     def _common(self) -> tuple[Float, float]:
         """What the common part of all speeds takes from the precision of the motions: -c a a^T with a (2 F,)."""
-        assert self.prior is not None
-        own, common = self.prior.own_variance[0], self.prior.common_variance
+        assert self.nuisance.prior is not None
+        own, common = self.nuisance.prior.own_variance[0], self.nuisance.prior.common_variance
         a = np.zeros((len(self.motions), 2))
         a[:, 0] = self._root / own
         return a.ravel(), 1 / (1 / common + len(a) / own)
@@ -281,14 +310,14 @@ class _Model:
         shared, mixed, blocks = self._normal(rows, own, weight)
         first = np.zeros(6 + self.shared)
         first[6 : 6 + 2 * len(self.asked)] = np.tile(1 / _CAMERA_SIGMA**2, len(self.asked))
-        if self.time is not None:
+        if self.nuisance.time is not None:
             first[-1] = variance / TIME_SIGMA_S**2
         shared = shared + np.diag(first)
-        if self.prior is not None:
+        if self.nuisance.prior is not None:
             a, share = self._common
             shared = block_diag(shared, np.array([[1 / (variance * share)]]))
             mixed = np.concatenate([mixed, a.reshape(-1, 1, 2)], axis=1)
-            blocks = blocks + variance * self.weights[:, None, None] * np.diag(1 / self.prior.own_variance)
+            blocks = blocks + variance * self.weights[:, None, None] * np.diag(1 / self.nuisance.prior.own_variance)
         return BlockSystem(shared, mixed, blocks)
 
     def _normal(self, rows: Float, own: Float, weight: Float) -> tuple[Float, Float, Float]:
@@ -303,14 +332,14 @@ class _Model:
         shared = rows.T @ pull
         at = np.r_[0 : 2 * len(self.asked)]
         shared[6 + at] += np.tile(1 / _CAMERA_SIGMA**2, len(self.asked)) * state[at]
-        if self.time is not None:
+        if self.nuisance.time is not None:
             shared[-1] += variance / TIME_SIGMA_S**2 * state[self.shared - 1]
         of_motions = np.asarray(self._members @ (own * pull[:, None]))
-        if self.prior is None:
+        if self.nuisance.prior is None:
             return shared, of_motions.reshape(0, 2)
-        (a, share), motion = self._common, self.prior.expected
+        (a, share), motion = self._common, self.nuisance.prior.expected
         away = state[self.shared :].reshape(-1, 2) - [motion.speed_m_s, motion.turn_rad_s]
-        alone = self.weights[:, None] / self.prior.own_variance * away
+        alone = self.weights[:, None] / self.nuisance.prior.own_variance * away
         weighted = (self._root[:, None] * away).ravel() @ (a / np.repeat(self._root, 2))
         return np.append(shared, 0.0), of_motions + variance * (alone - share * weighted * a.reshape(-1, 2))
 
@@ -320,17 +349,17 @@ class _Model:
         Expected motions and times are not the true ones.
         """
         count = 6 + self.shared
-        if self.prior is None:
+        if self.nuisance.prior is None:
             shared = np.zeros((1, count))
-            if self.time is not None:
+            if self.nuisance.time is not None:
                 shared[0, -1] = variance / TIME_SIGMA_S
             return shared, sparse.csr_array((1, 0))
-        (a, _), own = self._common, np.tile(self.prior.own_variance, len(self.motions))
-        size, common = len(own), np.sqrt(self.prior.common_variance)
+        (a, _), own = self._common, np.tile(self.nuisance.prior.own_variance, len(self.motions))
+        size, common = len(own), np.sqrt(self.nuisance.prior.common_variance)
         shared = np.zeros((size + 2, count + 1))
         shared[:size, -1] = np.sqrt(own) * a
         shared[size, -1] = common * a.sum()
-        if self.time is not None:
+        if self.nuisance.time is not None:
             shared[size + 1, count - 1] = variance / TIME_SIGMA_S
         alone = variance * np.repeat(self.weights, 2) / np.sqrt(own)
         together = variance * common * np.where(np.arange(size) % 2, 0.0, np.repeat(self.weights, 2) / own)
@@ -344,7 +373,7 @@ class _Model:
         count, groups = len(self.problem), int(group.max()) + 1
         members = sparse.csr_array((psi, (group, np.arange(count))), shape=(groups, count))
         shared = np.asarray(members @ rows)
-        if self.prior is None:
+        if self.nuisance.prior is None:
             return shared, sparse.csr_array((groups, 0))
         columns = 2 * self.problem.frame[:, None] + np.array([0, 1])
         at = (own.ravel(), columns.ravel(), np.arange(0, 2 * count + 1, 2))
@@ -355,13 +384,15 @@ class _Model:
         """Return the state (N,) with errors of cameras and the offset in time kept within bounds."""
         count, out = 2 * len(self.asked), np.array(state)
         out[:count] = np.clip(out[:count], -0.5 * LARGEST, 0.5 * LARGEST)
-        if self.time is not None:
+        if self.nuisance.time is not None:
             out[self.shared - 1] = np.clip(out[self.shared - 1], -_MAX_OFFSET_S, _MAX_OFFSET_S)
         return out
 
-    def time_fit(self, state: Float, variance: float) -> TimeFit | None:
+    def time_fit(self, state: Float, variance: float) -> TimeOffset | None:
         """Read the time offset from the state (N,), with its variance."""
-        return None if self.time is None else TimeFit(float(state[self.shared - 1]), float(np.sqrt(variance)))
+        if self.nuisance.time is None:
+            return None
+        return TimeOffset(float(state[self.shared - 1]), float(np.sqrt(variance)), used=True)
 
     def camera_fits(self, state: Float, covariance: Float) -> tuple[RadialFit, ...]:
         """Read the corrections of the cameras from the state (N,); `covariance` is that of pose and state."""
@@ -373,15 +404,16 @@ class _Model:
 
     def _error(self, camera: Camera, values: Float) -> RadialError:
         """Return the error of a camera with values (2,) of focal and radial; its principal point is not fitted."""
-        return replace(self.errors[camera], focal=float(values[0]), radial=float(values[1]))
+        return replace(self.nuisance.error_of(camera), focal=float(values[0]), radial=float(values[1]))
 
     def motion_fits(self, state: Float, covariances: Float) -> tuple[MotionFit, ...]:
         """Read the motions from the state (N,); `covariances` (F, 2, 2) are theirs."""
-        motions, expected = state[self.shared :].reshape(-1, 2), None if self.prior is None else self.prior.expected
+        prior, motions = self.nuisance.prior, state[self.shared :].reshape(-1, 2)
+        if prior is None:
+            return ()
         return tuple(
-            MotionFit(replace(expected, speed_m_s=float(speed), turn_rad_s=float(turn)), covariance)
+            MotionFit(replace(prior.expected, speed_m_s=float(speed), turn_rad_s=float(turn)), covariance)
             for (speed, turn), covariance in zip(motions, covariances, strict=True)
-            if expected is not None
         )
 
 
@@ -408,11 +440,9 @@ def _outward(problem: PointToLine) -> Float:
     return np.column_stack([out * upright, out * ~upright])
 
 
-def _clustered(
-    model: _Model, rows: Float, own: Float, residuals: Float, scenes: Int | None
-) -> tuple[tuple[Float, Any], int]:
+def _clustered(model: _Model, rows: Float, own: Float, residuals: Float) -> tuple[tuple[Float, Any], int]:
     """Return the gradients of clusters, with pairs of one scene, side and cell as one, and their number."""
-    problem = model.problem
+    problem, scenes = model.problem, model.nuisance.scenes
     cell = np.floor(problem.centre / OUTLINE_CELL_PX).astype(np.int64)
     scene = problem.frame if scenes is None else scenes[problem.frame]
     key = np.column_stack([scene, problem.side, cell])

@@ -9,9 +9,10 @@ from functools import cached_property, partial
 import numpy as np
 
 from p2o.arrays import Float
+from p2o.calibration.adjustment import Nuisance
 from p2o.calibration.interval_search import most_likely_pose
 from p2o.calibration.judge import is_sparse, judge_of
-from p2o.calibration.nuisance import Nuisance, NuisanceEstimate, estimate_nuisances, known_twists, motion_prior
+from p2o.calibration.nuisance import NuisanceEstimate, estimate_nuisances, known_twists, motion_prior
 from p2o.calibration.options import PipelineOptions
 from p2o.calibration.rounds import REACH_AFTER_SEARCH_PX, End, Rounds
 from p2o.calibration.search_box import SearchBox
@@ -63,7 +64,7 @@ class Refined:
     @property
     def solved(self) -> list[End]:
         """The ends with a pose to judge: those within the box of the search, all of them if none is."""
-        solved = [end for end in self.ends if end.solved]
+        solved = [end for end in self.ends if end.status.solved]
         return [end for end in solved if self.within(end.pose)] or solved
 
     def within(self, pose: Float) -> bool:
@@ -76,11 +77,6 @@ class Refined:
         solved = self.solved
         return solved[int(np.argmin(self.judge.costs([end.pose for end in solved])))]
 
-    @property
-    def far(self) -> bool:
-        """Whether the best pose is so far from the initial one that other edges may be visible from it."""
-        return is_far(self.start, self.best.pose)
-
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
@@ -88,11 +84,6 @@ class Estimate:
 
     refined: Refined
     final: NuisanceEstimate
-
-    @property
-    def start(self) -> Float:
-        """The initial extrinsic (4, 4)."""
-        return self.refined.start
 
     @cached_property
     def views(self) -> list[View]:
@@ -116,9 +107,14 @@ class Algorithm:
     needs: frozenset[str] = EDGES
 
     def visible(self, views: Sequence[View], camera_from_lidar: Float) -> VisibleViews:
-        """Return the views as visible from a pose (4, 4), with the motions that the options expect."""
-        nuisance = Nuisance.expected(views, motion_prior(views, self.options), known_twists(views, self.options))
-        return VisibleViews.of(views, camera_from_lidar, nuisance, directed=self.directed)
+        """Return the views as visible from a pose (4, 4), weighted by what each of them alone shows.
+
+        Edges with directions have those in the image axes of the pose; motions are those that the options expect.
+        """
+        turned = [view.as_seen_from(camera_from_lidar) for view in views] if self.directed else views
+        visible = weighted([view.without_hidden(camera_from_lidar) for view in turned], camera_from_lidar)
+        prior, twists = motion_prior(views, self.options), known_twists(views, self.options)
+        return VisibleViews(visible, Nuisance.expected(visible, prior, twists))
 
     def propose(self, views: VisibleViews, start: Float) -> list[Float]:
         """Return the poses (4, 4) to refine, best first; the initial extrinsic where the initializer proposes none."""
@@ -211,16 +207,6 @@ class VisibleViews:
 
     raw: Sequence[View]
     nuisance: Nuisance
-
-    @classmethod
-    def of(cls, views: Sequence[View], camera_from_lidar: Float, nuisance: Nuisance, *, directed: bool) -> VisibleViews:
-        """Return the views as visible at a pose (4, 4), weighted by what each of them alone shows.
-
-        With `directed`, edge directions are in the image axes of the pose.
-        """
-        turned = [view.as_seen_from(camera_from_lidar) for view in views] if directed else views
-        visible = weighted([view.without_hidden(camera_from_lidar) for view in turned], camera_from_lidar)
-        return cls(visible, nuisance.of_views(visible))
 
     @cached_property
     def corrected(self) -> list[View]:

@@ -20,7 +20,7 @@ from p2o.features.view import View
 from p2o.geometry import se3
 from p2o.geometry.camera import Camera
 from p2o.geometry.motion import EgoMotion, MotionPrior
-from p2o.geometry.radial_error import RadialError, is_correctable, slopes
+from p2o.geometry.radial_error import RadialError, RadialFit, is_correctable, slopes
 from p2o.problems.directed_cost import DirectedCost
 from p2o.problems.point_to_line import OUTLINE_CELL_PX
 
@@ -59,22 +59,20 @@ Less for the vertical principal point, of which a rotation absorbs more than the
 
 
 @dataclass(frozen=True, eq=False)
-class IntrinsicFit:
+class IntrinsicFit(RadialFit):
     """The error of the intrinsics of one camera, estimated jointly with the pose.
 
     `covariance` (4, 4) is that of focal, radial, x and y (in focal lengths), with the systematic part. `evidence` is
     the decrease of the directed distance by the corrected cameras in standard deviations over image cells.
     """
 
-    camera: Camera
-    error: RadialError
-    covariance: Float
     evidence: float
 
     @property
     def values(self) -> Float:
         """The error (4,): focal, radial, x and y in focal lengths."""
-        return _numbers(self.error, self.camera)
+        error, focal_px = self.error, self.camera.focal_px
+        return np.array([error.focal, error.radial, error.x_px / focal_px, error.y_px / focal_px])
 
     @property
     def significant(self) -> tuple[bool, ...]:
@@ -121,11 +119,10 @@ def estimate_intrinsics(
     cameras = tuple(camera for camera in dict.fromkeys(view.camera for view in views) if is_correctable(camera))
     if not cameras:
         return None
-    sweeps = None if prior is None else _Sweeps(prior, motions)
-    fine = _Field.of(views, camera_from_lidar, cameras, sweeps, _MAX_POINTS, *_FINE)
+    fine = _Field.of(views, camera_from_lidar, cameras, prior, motions, _MAX_POINTS, *_FINE)
     if fine is None:
         return None
-    coarse = _Field.of(views, camera_from_lidar, cameras, sweeps, _MAX_POINTS // 3, *_COARSE)
+    coarse = _Field.of(views, camera_from_lidar, cameras, prior, motions, _MAX_POINTS // 3, *_COARSE)
     given = _State(camera_from_lidar, np.zeros(fine.moving), np.zeros((len(cameras), 4)))
     given = fine.fit(given, count=6)
     noise = fine.noise(given)
@@ -145,13 +142,6 @@ def estimate_intrinsics(
     return fine.estimate(camera_from_lidar, fixed, best, precision, cells)
 
 
-class _Sweeps(NamedTuple):
-    """The prior of the motions during raw sweeps, and the motions that the views are compensated for, one a view."""
-
-    prior: MotionPrior
-    motions: Sequence[EgoMotion]
-
-
 @dataclass(frozen=True, eq=False)
 class _State:
     """A pose (4, 4), changes (2 P,) of the motions of the parts, speed and turning, and errors (C, 4) of the cameras.
@@ -168,8 +158,9 @@ class _State:
     def moved(self, step: Float) -> _State:
         """Return the state after a step (N,) of its first N parameters."""
         step = np.concatenate([step, np.zeros(6 + self.motions.size + self.errors.size - len(step))])
-        errors = self.errors + step[6 + self.motions.size :].reshape(-1, 4)
-        return _State(se3.exp(step[:6]) @ self.pose, self.motions + step[6 : 6 + self.motions.size], _bounded(errors))
+        errors = np.clip(self.errors + step[6 + self.motions.size :].reshape(-1, 4), -5 * _PRIOR, 5 * _PRIOR)
+        motions = self.motions + step[6 : 6 + self.motions.size]
+        return _State(se3.exp(step[:6]) @ self.pose, motions, errors.clip(-0.19, 0.19))
 
 
 class _Seen(NamedTuple):
@@ -202,7 +193,8 @@ class _Field:
         views: Sequence[View],
         pose: Float,
         cameras: tuple[Camera, ...],
-        sweeps: _Sweeps | None,
+        prior: MotionPrior | None,
+        motions: Sequence[EgoMotion],
         points: int,
         truncate_px: float,
         scale: int,
@@ -218,12 +210,12 @@ class _Field:
         cost = replace(cost, parts=parts)
         seen = [views[part.view].cloud_edges.select(part.rows) for part in parts]
         side = np.concatenate([edges.side for edges in seen])
-        if sweeps is None:
+        if prior is None:
             return cls(cost, cameras, side, np.zeros((2, 0, 3)), np.zeros(0), np.zeros((0, 0)))
-        prior, by_motion, expected = sweeps.prior, [], []
+        by_motion, expected = [], []
         by_speed, by_turn = prior.expected.by_speed[3:], prior.expected.by_turn[:3]
         for part, edges in zip(parts, seen, strict=True):
-            motion = sweeps.motions[part.view]
+            motion = motions[part.view]
             shift = edges.time_s[:, None] * np.stack([np.tile(by_speed, (len(edges), 1)), np.cross(by_turn, edges.xyz)])
             by_motion.append(shift @ pose[:3, :3].T)
             change = (prior.expected.speed_m_s - motion.speed_m_s, prior.expected.turn_rad_s - motion.turn_rad_s)
@@ -440,11 +432,3 @@ def _error(values: Float, camera: Camera) -> RadialError:
     """Return the error of numbers (4,): focal, radial, x and y in focal lengths."""
     focal, radial, x, y = values.tolist()
     return RadialError(focal, radial, x * camera.focal_px, y * camera.focal_px)
-
-
-def _numbers(error: RadialError, camera: Camera) -> Float:
-    return np.array([error.focal, error.radial, error.x_px / camera.focal_px, error.y_px / camera.focal_px])
-
-
-def _bounded(errors: Float) -> Float:
-    return np.clip(errors, -5 * _PRIOR, 5 * _PRIOR).clip(-0.19, 0.19)

@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import TypeGuard
 
 import numpy as np
 
-from p2o.arrays import Float, Int
-from p2o.calibration.adjustment import Adjustment, MotionFit, TimeFit, fit_with_nuisances
-from p2o.calibration.intrinsics import IntrinsicsEstimate, estimate_intrinsics
+from p2o.arrays import Float
+from p2o.calibration.adjustment import Adjustment, Nuisance
+from p2o.calibration.intrinsics import IntrinsicsEstimate
 from p2o.calibration.options import PipelineOptions
 from p2o.calibration.rounds import REACH_AFTER_SEARCH_PX, End, Rounds
 from p2o.features.view import View
-from p2o.geometry.camera import Camera
-from p2o.geometry.motion import EgoMotion, MotionPrior, pose_at
-from p2o.geometry.radial_error import RadialError, RadialFit
+from p2o.geometry.motion import EgoMotion, MotionPrior
+from p2o.geometry.radial_error import RadialFit
 from p2o.host.stages import JudgeBase
-from p2o.problems.distinct_views import scenes_of, view_weights
 from p2o.problems.point_to_line import PointToLine
 from p2o.problems.problem import Problem
-from p2o.results.result import SweepMotion, TimeOffset
+from p2o.results.result import TimeOffset
 
 _MAX_ROUNDS = 12
 _REACH_FACTOR, _SHRINK = 1.6, 0.85
@@ -58,88 +56,6 @@ def known_twists(views: Sequence[View], options: PipelineOptions) -> Float | Non
         return None
     twists = np.array(known)
     return None if np.linalg.norm(np.ptp(twists[:, 3:], axis=0)) < _MIN_SPEED_RANGE_M_S else twists
-
-
-@dataclass(frozen=True)
-class Nuisance:
-    """Values of the nuisance parameters: errors of cameras, motions (one a view, or none) and an offset in time.
-
-    `twists` (F, 6) are the velocities that make the offset observable, None where it is not. `weights` (F,) and
-    `scenes` (F,) are those of the views (`p2o.problems.distinct_views`), None where every view counts once.
-    """
-
-    prior: MotionPrior | None = None
-    errors: Mapping[Camera, RadialError] = field(default_factory=dict)
-    motions: tuple[MotionFit, ...] = ()
-    twists: Float | None = None
-    time: TimeFit | None = None
-    weights: Float | None = None
-    scenes: Int | None = None
-
-    @classmethod
-    def expected(cls, views: Sequence[View], prior: MotionPrior | None, twists: Float | None = None) -> Nuisance:
-        """Return the values that are expected before any pair is evaluated."""
-        if prior is None:
-            return cls(twists=twists)
-        motions = (MotionFit(prior.expected, prior.covariance),) * len(views)
-        return cls(prior, motions=motions, twists=twists)
-
-    def of_views(self, views: Sequence[View]) -> Nuisance:
-        """Return the same values with the weights and scenes of views."""
-        return replace(self, weights=view_weights(views), scenes=scenes_of(views))
-
-    def timed(self) -> Nuisance:
-        """Return the same values with an offset in time to be estimated."""
-        return replace(self, time=TimeFit())
-
-    def fit(self, problem: PointToLine, cameras: tuple[Camera, ...], pose: Float, *, fits_cameras: bool) -> Adjustment:
-        """Fit pose and nuisance parameters to pairs, starting from these values; `cameras` are uncorrected."""
-        motions = [fit.motion for fit in self.motions]
-        return fit_with_nuisances(
-            replace(problem, cameras=cameras),
-            pose,
-            fits_cameras=fits_cameras,
-            known=self.errors,
-            prior=self.prior,
-            motions=motions,
-            twists=self.twists,
-            time=self.time,
-            weights=self.weights,
-            scenes=self.scenes,
-        )
-
-    def after(self, fit: Adjustment) -> Nuisance:
-        """Return the values after a fit."""
-        errors = dict(self.errors) | {c.camera: c.error for c in fit.cameras}
-        return replace(self, errors=errors, motions=fit.motions, time=fit.time)
-
-    def views(self, raw: Sequence[View]) -> list[View]:
-        """Return raw views with cameras corrected, and features moved to the time of the image."""
-        if self.motions:
-            raw = [view.untwisted(fit.motion.twist) for view, fit in zip(raw, self.motions, strict=True)]
-        if self.time is not None and self.twists is not None:
-            offset_s = self.time.offset_s
-            raw = [view.moved(pose_at(twist, -offset_s)) for view, twist in zip(raw, self.twists, strict=True)]
-        cameras = [self.errors.get(view.camera, RadialError()).corrected(view.camera) for view in raw]
-        return [replace(view, camera=camera) for view, camera in zip(raw, cameras, strict=True)]
-
-    def intrinsics(
-        self, raw: Sequence[View], camera_from_lidar: Float, parameters: Sequence[bool]
-    ) -> IntrinsicsEstimate | None:
-        """Estimate errors of the cameras of raw views at a pose (4, 4), together with the motions of their sweeps."""
-        motions = [fit.motion for fit in self.motions]
-        return estimate_intrinsics(self.views(raw), camera_from_lidar, parameters, self.prior, motions)
-
-    def sweep_motions(self, views: Sequence[View]) -> tuple[SweepMotion, ...]:
-        """Return the motions of those views whose sweeps are raw."""
-        motions = []
-        for view, fit in zip(views, self.motions, strict=bool(self.motions)):
-            if view.cloud_edges.time_s.any():
-                motion, (speed_sigma, turn_sigma) = fit.motion, np.sqrt(np.diag(fit.covariance)).tolist()
-                turn = float(np.degrees(motion.turn_rad_s)), float(np.degrees(turn_sigma))
-                twist = tuple(motion.twist.tolist())
-                motions.append(SweepMotion(view.name, motion.speed_m_s, speed_sigma, *turn, twist))
-        return tuple(motions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +98,7 @@ def estimate_nuisances(
         fit = nuisance.fit(best.pairs, cameras, best.pose, fits_cameras=fits_cameras)
         return NuisanceEstimate(best, judge, nuisance, covariance=fit.covariance, places=fit.places)
     refined: Adjustment | None = None
-    offset: TimeFit | None = None
+    offset: TimeOffset | None = None
     if refines and any(judge.camera_errors):
         corrected_cameras = _cameras_corrected(raw, start, best, judge, nuisance, rounds)
         if corrected_cameras is not None:
@@ -200,7 +116,7 @@ def estimate_nuisances(
         if better is not None and time_fit is not None and abs(time_fit.offset_s) > _SIGNIFICANT * time_fit.sigma_s:
             best, judge, refined = better
             nuisance, offset = nuisance.after(refined), refined.time
-    time = None if offset is None else TimeOffset(offset.offset_s, offset.sigma_s, nuisance.time is not None)
+    time = None if offset is None else replace(offset, used=nuisance.time is not None)
     corrected = bool(nuisance.errors)
     if refines and refined is not None:
         fit = refined
@@ -231,13 +147,21 @@ def _cameras_corrected(
     if estimate is None or not wrong.any():
         return None
     nuisance = replace(nuisance, errors={fit.camera: fit.error for fit in estimate.fits})
-    views = nuisance.views(raw)
+    views, pose = nuisance.views(raw), estimate.camera_from_lidar
+    better = _better_end(views, start, pose, best, judge, rounds, REACH_AFTER_SEARCH_PX)
+    return None if better is None else (*better, nuisance)
+
+
+def _better_end(
+    views: Sequence[View], start: Float, pose: Float, best: End, judge: JudgeBase, rounds: Rounds, reach_px: float
+) -> tuple[End, JudgeBase] | None:
+    """Return the end of rounds from a pose (4, 4) with corrected views, and their judge; None if it costs no less."""
     corrected = judge.on(views)
-    pose = estimate.camera_from_lidar
-    end = rounds(views, start, pose, corrected, reach_px=REACH_AFTER_SEARCH_PX, found_by="adjust")
-    if not (end.solved and enough_pairs(end.problem)) or not corrected.costs([end.pose]) < judge.costs([best.pose]):
+    end = rounds(views, start, pose, corrected, reach_px=reach_px, found_by="adjust")
+    if not (end.status.solved and enough_pairs(end.problem)):
         return None
-    return replace(end, rounds=best.rounds + end.rounds), corrected, nuisance
+    [previous_cost], [cost] = judge.costs([best.pose]), corrected.costs([end.pose])
+    return (replace(end, rounds=best.rounds + end.rounds), corrected) if cost < previous_cost else None
 
 
 def _refined_jointly(
@@ -258,12 +182,5 @@ def _refined_jointly(
         reach_px = max(options.min_reach_px, reach_px * _SHRINK)
     if fit is None:
         return None
-    views = nuisance.views(raw)
-    corrected_judge = judge.on(views)
-    end = rounds(views, start, pose, corrected_judge, reach_px=options.min_reach_px, found_by="adjust")
-    if not (end.solved and enough_pairs(end.problem)):
-        return None
-    [previous_cost], [cost] = judge.costs([best.pose]), corrected_judge.costs([end.pose])
-    if not cost < previous_cost:
-        return None
-    return replace(end, rounds=best.rounds + end.rounds), corrected_judge, fit
+    better = _better_end(nuisance.views(raw), start, pose, best, judge, rounds, options.min_reach_px)
+    return None if better is None else (*better, fit)

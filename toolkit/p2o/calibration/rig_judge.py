@@ -9,9 +9,11 @@ import numpy as np
 
 from p2o.arrays import Float
 from p2o.features.view import View
-from p2o.geometry import se3
-from p2o.geometry.motion import adjoint_matrix
-from p2o.host.stages import JudgeBase, LogLikelihood
+from p2o.host.stages import JudgeBase
+from p2o.problems.interval_likelihood import most_likely_near
+
+RIG_STEPS = np.array([*np.radians([0.1, 0.1, 0.1]), 0.02, 0.02, 0.02])
+"""Units of the unknowns of the maximisation: 0.1 deg and 2 cm."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,32 +45,10 @@ class RigJudge(JudgeBase):
         """Return the pose (4, 4) of the local maximum of the sum of likelihoods, if all cameras have one."""
         parts = [(place, judge.log_likelihood) for place, judge in zip(self.places, self.judges, strict=True)]
         known = [(place, likelihood) for place, likelihood in parts if likelihood is not None]
-        return most_likely_near(known, pose) if len(known) == len(parts) else pose
+        return most_likely_near(known, pose, RIG_STEPS, 30) if len(known) == len(parts) else pose
 
     def on(self, views: Sequence[View]) -> RigJudge:
         """Return the judge of the same edges in other `views`, those of all cameras one after the other."""
         ends = np.cumsum([0, *self.counts])
         judges = [judge.on(views[a:b]) for judge, a, b in zip(self.judges, ends[:-1], ends[1:], strict=True)]
         return replace(self, judges=tuple(judges))
-
-
-_STEPS = np.array([*np.radians([0.1, 0.1, 0.1]), 0.02, 0.02, 0.02])
-"""Units of the unknowns of the maximisation: 0.1 deg and 2 cm."""
-
-
-def most_likely_near(parts: Sequence[tuple[Float, LogLikelihood]], body_from_lidar: Float) -> Float:
-    """Return the pose (4, 4) of the local maximum of a sum of interval likelihoods near a pose, by BFGS.
-
-    `parts` are camera_from_body (4, 4) and the log likelihood of each camera.
-    """
-    from scipy.optimize import minimize
-
-    def cost_and_gradient(x: Float) -> tuple[float, Float]:
-        pose, total, gradient = se3.exp(x * _STEPS) @ body_from_lidar, 0.0, np.zeros(6)
-        for place, likelihood in parts:
-            value, by_camera = likelihood(place @ pose)
-            total, gradient = total - value, gradient - by_camera @ adjoint_matrix(place)
-        return total, gradient * _STEPS
-
-    best = minimize(cost_and_gradient, np.zeros(6), jac=True, method="BFGS", options={"maxiter": 30, "gtol": 0.2})
-    return np.asarray(se3.exp(best.x * _STEPS) @ body_from_lidar)

@@ -35,11 +35,6 @@ class End:
         """The pairs at the pose, of a matcher that gives pairs."""
         return self.problem if isinstance(self.problem, PointToLine) and len(self.problem) else None
 
-    @property
-    def solved(self) -> bool:
-        """Whether there is a pose to judge."""
-        return self.status.solved
-
 
 REACH_AFTER_SEARCH_PX = 12.0
 """First cutting distance from a pose that an initializer proposes."""

@@ -62,14 +62,14 @@ def command(
     is performed.
     """
     from p2o.cli.run import Required
-    from p2o.confidence.frame_choice import Wanted, choose, open_axes, shortage
+    from p2o.confidence.frame_choice import choose, open_axes, shortage
     from p2o.run.recipe import Recipe
     from p2o.run.words import parse_settings
 
     bound = None if require is None else Required.of(require).bound
     if require is not None and bound is None:
         raise InputError("the accuracy is missing", where="--require", expected='"0.2deg 0.05m"', got=repr(require))
-    wanted = None if bound is None else Wanted(bound.angle_deg, bound.distance_m)
+    wanted = None if bound is None else (bound.angle_deg, bound.distance_m)
     words = {"extractor": extractor, "start": start, "perturb": perturb}
     words = {name: value for name, value in words.items() if value is not None}
     recipe = Recipe.of(data=data, frames=frames, options=parse_settings(settings), witness="none", **words)
@@ -80,7 +80,7 @@ def command(
         hint = "inspect the pose (p2o data show), or use a better initial guess"
         raise InputError("no edge of the sweep is near an image edge", where=data, hint=hint)
     spec = ",".join(str(index) for index in sorted(by_name[step.name][0] for step in steps))
-    enough = None if wanted is None else wanted.met(steps[-1].accuracy)
+    enough = None if wanted is None else steps[-1].accuracy.reaches(*wanted)
     still = [] if wanted is None or enough else open_axes(steps[-1].accuracy, wanted)
     why = shortage([by_name[step.name][1] for step in steps], still) if still else ""
     if as_json:
@@ -103,7 +103,7 @@ def command(
 def _conclusion(wanted: Wanted | None, enough: bool | None, still: list[str], why: str, *, all_taken: bool) -> str:
     if wanted is None:
         return "every frame adds information" if all_taken else "further frames add little information"
-    size = f"{wanted.rotation_deg:g} deg and {wanted.translation_m:g} m"
+    size = f"{wanted[0]:g} deg and {wanted[1]:g} m"
     if enough:
         return f"enough for {size}"
     return f"not enough for {size}: {' and '.join(still)} not accurate enough, because {why}"

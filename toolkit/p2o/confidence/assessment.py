@@ -57,7 +57,7 @@ def assess(
     The initial extrinsic is used as a prior where its standard deviation `start_sigma` is known. An estimate that does
     not cost less than the initial extrinsic is refused.
     """
-    final, start, end, judge = estimate.final, estimate.start, estimate.final.end, estimate.refined.judge
+    final, start, end, judge = estimate.final, estimate.refined.start, estimate.final.end, estimate.refined.judge
     # Where the camera was corrected, other poses that fit the given camera better are no rivals.
     best = (end, final.judge) if final.cameras_corrected else (estimate.refined.best, judge)
     rival = rival_of([*estimate.refined.solved, *estimate.refined.rivals], *best)
@@ -136,21 +136,19 @@ class _Scatter:
         scenes = len(np.unique(scenes_of(estimate.views)))
         # What moves in a scene makes edges of other views, and leaves the errors of the scene as they are.
         different = min(view_count(pairs.xyz, pairs.side, pairs.frame), scenes) if len(pairs) else 1.0
-        by_judge = judge.covariance(end.pose)
+        by_judge, cells, min_cells = judge.covariance(end.pose), agreement.places, judge.min_cells
         if by_judge is not None:
             budget = ErrorBudget.of_intervals(by_judge * scenes / max(different, 1.0), pairs, end.pose, different)
-            cells, min_cells = agreement.places, judge.min_cells
         elif end.pairs is not None:
-            if final.covariance is None:
-                return cls(None, final.places, MIN_PLACES)
-            budget = ErrorBudget.of(final.covariance, pairs, end.pose, different)
             cells, min_cells = final.places, MIN_PLACES
+            if final.covariance is None:
+                return cls(None, cells, min_cells)
+            budget = ErrorBudget.of(final.covariance, pairs, end.pose, different)
         else:
             own = None if end.problem is None else own_covariance(end.problem, end.pose, agreement.places)
             if own is None:
                 return None
             budget = ErrorBudget.of(own, pairs, end.pose, different)
-            cells, min_cells = agreement.places, judge.min_cells
         if final.intrinsics is not None:
             budget = replace(budget, cameras=final.intrinsics.covariance, absorbed=final.intrinsics.absorbed)
         return cls(budget, cells, min_cells)
@@ -162,7 +160,7 @@ def _rival_covariance(refined: Refined) -> Float:
     Which of them has the lowest cost depends on the noise of the edges, and on the seed of the search. A pose that
     loses L edges has the probability exp(-L) of the best one; poses that lose `MIN_LEAD_EDGES` or more are left out.
     """
-    ends = [end for end in (*refined.solved, *refined.rivals) if end.solved and end is not refined.best]
+    ends = [end for end in (*refined.solved, *refined.rivals) if end.status.solved and end is not refined.best]
     cost_of_best, *costs = refined.judge.costs([refined.best.pose, *(end.pose for end in ends)])
     total, probability = np.zeros((6, 6)), 1.0
     for end, cost in zip(ends, costs, strict=True):
@@ -195,7 +193,7 @@ def refused(views: Sequence[View], start: Float, status: Status, reason: str, ro
 def judged_of(estimate: Estimate, pose: Float) -> Judged:
     """Return the costs of the initial extrinsic and of a pose (4, 4), on the same points."""
     judge = estimate.refined.judge
-    return Judged(judge.name, judge.unit, *estimate.final.judge.costs([estimate.start, pose]))
+    return Judged(judge.name, judge.unit, *estimate.final.judge.costs([estimate.refined.start, pose]))
 
 
 def remarks_of(views: Sequence[View]) -> tuple[str, ...]:
@@ -214,7 +212,7 @@ def _with_prior(
     if start_sigma is None:
         return None
     pose = estimate.final.end.pose
-    mean = with_start(pose, likely, estimate.start, start_sigma, model)
+    mean = with_start(pose, likely, estimate.refined.start, start_sigma, model)
     if mean is None:
         return None
     judged = judged_of(estimate, mean[0])

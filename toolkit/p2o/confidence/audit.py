@@ -4,24 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, TypeGuard
+from typing import TypeGuard
 
 import numpy as np
 
 from p2o.arrays import Bool, Float
+from p2o.calibration.adjustment import Nuisance
 from p2o.calibration.algorithm import Algorithm, missing_features
 from p2o.calibration.interval_search import most_likely_pose
 from p2o.calibration.judge import IntervalJudge, is_sparse
-from p2o.calibration.nuisance import Nuisance, enough_pairs, motion_prior
+from p2o.calibration.nuisance import enough_pairs, motion_prior
 from p2o.calibration.options import PipelineOptions
 from p2o.calibration.rounds import REACH_AFTER_SEARCH_PX
-from p2o.confidence.accuracy import (
-    DEFAULT_ERROR_MODEL,
-    Z_67,
-    ErrorBudget,
-    ErrorModel,
-    likely_covariance,
-)
+from p2o.confidence.accuracy import DEFAULT_ERROR_MODEL, Z_67, ErrorBudget, ErrorModel, likely_covariance
 from p2o.confidence.explanation import Explanation, explanations, single_axis_pose
 from p2o.confidence.fusion import OWN_SHARE
 from p2o.confidence.verdict import MIN_ODDS_RATIO, MIN_STRENGTH, little_agreement
@@ -95,7 +90,7 @@ def edge_step(
     pose = begin = camera_from_lidar if around is None else around
     raw = weighted([view.as_seen_from(begin).without_hidden(begin) for view in views], begin)
     cameras = tuple(view.camera for view in raw)
-    nuisance = Nuisance.expected(raw, motion_prior(raw, options)).of_views(raw)
+    nuisance = Nuisance.expected(raw, motion_prior(raw, options))
     sparse = is_sparse(raw, options.interval_deg)
     if sparse and _are_different(matcher(nuisance.views(raw), begin, reach_px), len(raw)):
         return _interval_step(raw, nuisance, camera_from_lidar, begin, matcher, options)
@@ -186,19 +181,11 @@ AXES = (("roll", "deg"), ("pitch", "deg"), ("yaw", "deg"), ("x", "m"), ("y", "m"
 """Camera axes and their units, in the order of errors."""
 
 
-class Tail(NamedTuple):
-    """Error distribution: Student's t with `degrees` of freedom, scaled by `scale` times the predicted deviations.
-
-    A search also finds another pose for a correct one: such a pose counts only if it matches `lead_edges` more edges.
-    """
-
-    degrees: float
-    scale: float
-    lead_edges: float
-
-
-TAIL = Tail(20.0, 1.0, 6.0)
-"""Fitted to steps at correct extrinsics on simulated frames and KITTI's `train` (`python benchmarks/audit.py`)."""
+DEGREES, LEAD_EDGES = 20.0, 6.0
+"""Degrees of freedom of Student's t, the distribution of errors relative to the predicted deviations, and the number of
+edges that another pose, which a search also finds for a correct one, has to match more. Fitted to steps at correct
+extrinsics on simulated frames and KITTI's `train` (`python benchmarks/audit.py`).
+"""
 _UNCONFIRMED = 0.05
 """Share of correct extrinsics with an axis that differs too much to be confirmed, and too little to be off."""
 _MOST_EXPLAINING, _MOST_ALTERNATIVES = 3, 3
@@ -222,23 +209,23 @@ class Rates:
     @property
     def noticed(self) -> float:
         """Return the alarm threshold of one axis in standard deviations; the axes share half of the alarm rate."""
-        return TAIL.scale * _t(1 - self.alarm / 2 / (2 * len(AXES)))
+        return _t(1 - self.alarm / 2 / (2 * len(AXES)))
 
     @property
     def limit(self) -> float:
         """Return the error of one axis, in standard deviations, that is detected at the rate `power`."""
-        return self.noticed + TAIL.scale * _t(self.power)
+        return self.noticed + _t(self.power)
 
     @property
     def confirmed(self) -> float:
         """Return the largest deviation, in standard deviations, at which an axis is confirmed to hold."""
-        return TAIL.scale * _t(1 - _UNCONFIRMED / (2 * len(AXES)))
+        return _t(1 - _UNCONFIRMED / (2 * len(AXES)))
 
     def joint(self, degrees: int) -> float:
         """Return the alarm threshold of a chi-square with these degrees of freedom: six for all axes."""
         from scipy.stats import f
 
-        return float(TAIL.scale**2 * degrees * f.ppf(1 - self.alarm / 2, degrees, TAIL.degrees)) if degrees else 0.0
+        return float(degrees * f.ppf(1 - self.alarm / 2, degrees, DEGREES)) if degrees else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,7 +259,7 @@ class Evidence:
     @property
     def led_away(self) -> bool:
         """Whether edges match clearly better at another pose."""
-        return self.far is not None and self.lead_edges >= TAIL.lead_edges
+        return self.far is not None and self.lead_edges >= LEAD_EDGES
 
 
 def audit(evidence: Evidence, rates: Rates) -> Check:
@@ -367,7 +354,7 @@ def p_value(chi_square: float) -> float:
     """Return the probability that a correct extrinsic has at least this chi-square."""
     from scipy.stats import f
 
-    return float(f.sf(chi_square / TAIL.scale**2 / 6, 6, TAIL.degrees))
+    return float(f.sf(chi_square / 6, 6, DEGREES))
 
 
 def _near(views: Sequence[View], given: Float, algorithm: Algorithm) -> EdgeStep | str:
@@ -407,4 +394,4 @@ def _searched(
 def _t(share: float) -> float:
     from scipy.stats import t
 
-    return float(t.ppf(share, TAIL.degrees))
+    return float(t.ppf(share, DEGREES))

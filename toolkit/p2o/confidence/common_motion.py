@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from p2o.arrays import Float
+from p2o.calibration.adjustment import sweep_motion
 from p2o.geometry.motion import MotionPrior
 from p2o.results.result import SweepMotion
 
@@ -25,7 +26,6 @@ class CommonMotion:
     speed_sigma: float
     turn_rad_s: float
     turn_sigma: float
-    chi_square: float
     consistent: bool
 
     @classmethod
@@ -43,13 +43,12 @@ class CommonMotion:
         turn = _fused(np.array(turns), prior.expected.turn_rad_s, prior.turn_sigma)
         chi_square, degrees = speed[2] + turn[2], speed[3] + turn[3]
         consistent = degrees == 0 or float(chi2.sf(chi_square, degrees)) >= _LEAST_P
-        return cls(*speed[:2], *turn[:2], chi_square, consistent)
+        return cls(*speed[:2], *turn[:2], consistent)
 
     def reported(self, motion: SweepMotion, prior: MotionPrior) -> SweepMotion:
         """Return this motion as that of the frame of `motion`."""
         moving = replace(prior.expected, speed_m_s=self.speed_m_s, turn_rad_s=self.turn_rad_s)
-        turn = float(np.degrees(self.turn_rad_s)), float(np.degrees(self.turn_sigma))
-        return SweepMotion(motion.frame, self.speed_m_s, self.speed_sigma, *turn, tuple(moving.twist.tolist()))
+        return sweep_motion(motion.frame, moving, self.speed_sigma, self.turn_sigma)
 
 
 def _fused(values: Float, expected: float, sigma: float) -> tuple[float, float, float, int]:

@@ -102,16 +102,8 @@ class Step:
     accuracy: Accuracy | None
 
 
-@dataclass(frozen=True)
-class Wanted:
-    """Required accuracy at 67 %, in deg and m."""
-
-    rotation_deg: float
-    translation_m: float
-
-    def met(self, accuracy: Accuracy | None) -> bool:
-        """Return whether the predicted accuracy meets the requirement."""
-        return accuracy is not None and accuracy.reaches(self.rotation_deg, self.translation_m)
+Wanted = tuple[float, float]
+"""Required accuracy at 67 %, in deg and m."""
 
 
 def choose(
@@ -141,7 +133,7 @@ def choose(
         if count is None and wanted is None and steps and _little(steps[-1], step, least_gain):
             break
         steps.append(step)
-        if count is None and wanted is not None and wanted.met(step.accuracy):
+        if count is None and wanted is not None and step.accuracy is not None and step.accuracy.reaches(*wanted):
             break
     return steps
 
@@ -167,8 +159,8 @@ def open_axes(accuracy: Accuracy, wanted: Wanted) -> list[str]:
     """Return the names of the axes with the largest errors, for rotation and translation that miss the requirement."""
     words: list[str] = []
     for size, bound, axes in (
-        (accuracy.rotation_deg, wanted.rotation_deg, ("roll_deg", "pitch_deg", "yaw_deg")),
-        (accuracy.translation_m, wanted.translation_m, ("x_m", "y_m", "z_m")),
+        (accuracy.rotation_deg, wanted[0], ("roll_deg", "pitch_deg", "yaw_deg")),
+        (accuracy.translation_m, wanted[1], ("x_m", "y_m", "z_m")),
     ):
         values = {axis: getattr(accuracy, axis) or 0.0 for axis in axes}
         if size > bound:

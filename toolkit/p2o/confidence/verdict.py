@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -35,8 +36,8 @@ odds ratios above 20, and the scatter of pairs did not reveal them.
 
 def rival_of(ends: Sequence[End], best: End, judge: JudgeBase) -> Rival | None:
     """Return the best end away from the best pose: its additional cost and its distance; None without one."""
-    steps = {id(end): se3.inverse(end.pose) @ best.pose for end in ends if end.solved}
-    others = [end for end in ends if end.solved and is_distinct(steps[id(end)])]
+    steps = {id(end): se3.inverse(end.pose) @ best.pose for end in ends if end.status.solved}
+    others = [end for end in ends if end.status.solved and is_distinct(steps[id(end)])]
     if not others:
         return None
     cost_of_best, *costs = judge.costs([best.pose, *(end.pose for end in others)])
@@ -137,29 +138,22 @@ _PARAMETERS = ("focal length", "radial distortion", "principal point x", "princi
 def checks_of(estimate: NuisanceEstimate, cameras: Sequence[Camera]) -> tuple[CameraCheck, ...]:
     """Return the errors of the cameras as checks of a result; `cameras` are those of all frames."""
     if estimate.intrinsics is not None:
-        return tuple(_uncorrected(fit, cameras.count(fit.camera)) for fit in estimate.intrinsics.fits)
+        return tuple(_check(fit, cameras.count(fit.camera)) for fit in estimate.intrinsics.fits)
     if not estimate.cameras_corrected:
         return ()
     errors = estimate.nuisance.errors
     fits = [replace(fit, error=errors[fit.camera]) for fit in estimate.cameras if fit.camera in errors]
-    return tuple(_check(fit, cameras.count(fit.camera), corrected=True) for fit in fits)
+    return tuple(_check(fit, cameras.count(fit.camera)) for fit in fits)
 
 
-def _uncorrected(fit: IntrinsicFit, frames: int) -> CameraCheck:
-    """Return a check of a camera that was not corrected."""
-    x_sigma, y_sigma = np.sqrt(np.diag(fit.covariance)[2:]).tolist()
-    return replace(
-        _check(RadialFit(fit.camera, fit.error, fit.covariance[:2, :2]), frames, corrected=False),
-        x_sigma_px=x_sigma * fit.camera.focal_px,
-        y_sigma_px=y_sigma * fit.camera.focal_px,
-        evidence=fit.evidence,
-        wrong=tuple(name for name, wrong in zip(_PARAMETERS, fit.significant, strict=True) if wrong),
-    )
-
-
-def _check(fit: RadialFit, frames: int, *, corrected: bool) -> CameraCheck:
-    """Return a check of a camera by the error and the covariance of a fit."""
-    focal_sigma, radial_sigma = np.sqrt(np.diag(fit.covariance)).tolist()
+def _check(fit: RadialFit, frames: int) -> CameraCheck:
+    """Return a check of a camera by its fit: one of all intrinsics is not corrected, one from pairs is."""
+    focal_sigma, radial_sigma, *of_centre = np.sqrt(np.diag(fit.covariance)).tolist()
+    of_all: dict[str, Any] = {}
+    if isinstance(fit, IntrinsicFit):
+        x_sigma, y_sigma = (sigma * fit.camera.focal_px for sigma in of_centre)
+        wrong = tuple(name for name, wrong in zip(_PARAMETERS, fit.significant, strict=True) if wrong)
+        of_all = {"x_sigma_px": x_sigma, "y_sigma_px": y_sigma, "evidence": fit.evidence, "wrong": wrong}
     return CameraCheck(
         frames=frames,
         camera=fit.camera,
@@ -170,9 +164,10 @@ def _check(fit: RadialFit, frames: int, *, corrected: bool) -> CameraCheck:
         radial_sigma=radial_sigma,
         shift_px=fit.error.shift_px(fit.camera),
         shift_sigma_px=fit.sigma_px,
-        corrected=corrected,
+        corrected=not of_all,
         x_px=fit.error.x_px,
         y_px=fit.error.y_px,
+        **of_all,
     )
 
 

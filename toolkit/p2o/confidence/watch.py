@@ -32,14 +32,10 @@ class Rule:
     slack: float = 0.35
 
     @property
-    def run(self) -> float:
-        """Return the mean number of frames between false alarms (average run length)."""
-        return 3600.0 * self.rate_hz / self.alarms_per_hour
-
-    @property
     def limit(self) -> float:
         """Return the alarm limit of a chart, for two-sided charts of six axes."""
-        return limit_for(self.slack, self.run, 2 * len(AXES))
+        frames_between_alarms = 3600.0 * self.rate_hz / self.alarms_per_hour
+        return limit_for(self.slack, frames_between_alarms, 2 * len(AXES))
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,14 +66,16 @@ def watched(names: Sequence[str], steps: Sequence[EdgeStep | None], rule: Rule) 
     while begin < len(names):
         values = beside_mean(innovations(standard[begin:], correlation))
         values[: rule.settle] = np.nan
-        sums = charts(values, rule.slack)
-        over = np.flatnonzero((np.maximum(sums.up, sums.down) > limit).any(axis=1))
-        alarm = int(over[0]) if len(over) else None
-        last = len(values) if alarm is None else alarm + 1
-        level += [_frame(names[begin + at], sums, at, values, limit) for at in range(last)]
-        if alarm is None:
+        sums, since = charts(values, rule.slack)
+        highest = sums.max(axis=0)
+        over = np.flatnonzero((highest > limit).any(axis=1))
+        last = int(over[0]) + 1 if len(over) else len(values)
+        level += [_frame(names[begin + at], highest[at], values[at], limit) for at in range(last)]
+        if not len(over):
             break
-        slips.append(_slip(names, sums, alarm, begin, errors, sigma, correlation))
+        axis = int(highest[last - 1].argmax())
+        began = begin + int(since[sums[:, last - 1, axis].argmax(), last - 1, axis])
+        slips.append(_slip(names, axis, (begin, began, begin + last - 1), errors[:, axis], sigma[:, axis], correlation))
         begin += last
     return Watched(tuple(level), tuple(slips), detectable(sigma, correlation, rule), correlation, limit)
 
@@ -113,51 +111,46 @@ def _smallest_shift(count: int, correlation: float, rule: Rule) -> float | None:
     return float(brentq(excess, 0.0, CLIP)) if excess(CLIP) > 0 else None
 
 
-def _mean(errors: Float, sigma: Float) -> Float:
-    """Return the mean (A,) of errors, weighted by their inverse variances; zero for an axis without errors."""
-    weight = np.where(np.isfinite(errors), 1 / sigma**2, 0.0)
-    total = weight.sum(axis=0)
-    return np.where(total > 0, (weight * np.nan_to_num(errors)).sum(axis=0) / np.where(total > 0, total, 1.0), 0.0)
+def _mean_and_variance(errors: Float, sigma: Float) -> tuple[float, float]:
+    """Return the mean of errors, weighted by their inverse variances, and its variance; unknown ones are NaN."""
+    known = np.isfinite(errors)
+    weight = 1 / sigma[known] ** 2
+    return float((weight * errors[known]).sum() / weight.sum()) if len(weight) else 0.0, float(1 / weight.sum())
 
 
-def _frame(name: str, sums: Charts, at: int, values: Float, limit: float) -> WatchedFrame:
-    if np.isnan(values[at]).all():
+def _frame(name: str, highest: Float, values: Float, limit: float) -> WatchedFrame:
+    if np.isnan(values).all():
         return WatchedFrame(name)
-    highest = np.maximum(sums.up[at], sums.down[at])
     return WatchedFrame(name, float(highest.max() / limit), AXES[int(highest.argmax())][0])
 
 
 def _slip(
-    names: Sequence[str], sums: Charts, alarm: int, begin: int, errors: Float, sigma: Float, correlation: float
+    names: Sequence[str], axis: int, times: tuple[int, int, int], errors: Float, sigma: Float, correlation: float
 ) -> Slip:
-    """Estimate the slip of an alarm: its onset is where the sum last left zero, its size is the change of the mean."""
-    highest = np.maximum(sums.up[alarm], sums.down[alarm])
-    axis = int(highest.argmax())
-    since = sums.up_since if sums.up[alarm, axis] >= sums.down[alarm, axis] else sums.down_since
-    began, noticed = begin + int(since[alarm, axis]), begin + alarm
-    before, after = slice(begin, began), slice(began, noticed + 1)
-    size = float((_mean(errors[after], sigma[after]) - _mean(errors[before], sigma[before]))[axis])
+    """Estimate the slip of an alarm on one axis: its size is the change of the mean at its onset.
+
+    `times` are the first frame of the charts, the onset, where the sum last left zero, and the frame of the alarm.
+    """
+    begin, began, noticed = times
+    parts = (slice(begin, began), slice(began, noticed + 1))
+    (before, variance), (after, other) = (_mean_and_variance(errors[part], sigma[part]) for part in parts)
     # Correlated values contain less information than the same number of independent values.
     wider = (1 + correlation) / (1 - correlation)
-    known = [sigma[part, axis][np.isfinite(sigma[part, axis])] for part in (before, after)]
-    spread = float(np.sqrt(wider * sum(float(1 / (1 / own**2).sum()) for own in known)))
-    return Slip(*AXES[axis], noticed, names[noticed], began, names[began], size, spread)
+    spread = float(np.sqrt(wider * (variance + other)))
+    return Slip(*AXES[axis], noticed, names[noticed], began, names[began], after - before, spread)
 
 
 _OVERSHOOT = 1.166
 """Mean overshoot of a sum over its limit, for Gaussian values (Siegmund, Sequential Analysis, 1985)."""
 
 
-def mean_run(slack: float, limit: float, shift: float = 0.0) -> float:
-    """Return the average run length of a one-sided chart until an alarm (Siegmund's approximation).
+def mean_run(slack: float, limit: float) -> float:
+    """Return the average run length of a one-sided chart until a false alarm (Siegmund's approximation).
 
-    Values have standard deviation 1 and mean `shift`; 0 gives the run length to a false alarm.
+    Values have standard deviation 1 and mean 0.
     """
-    drift, reach = shift - slack, limit + _OVERSHOOT
-    if abs(drift) < 1e-9:
-        return reach**2
-    steps = 2 * drift * reach
-    return float((np.exp(-steps) + steps - 1) / (2 * drift**2))
+    steps = -2 * slack * (limit + _OVERSHOOT)
+    return float((np.exp(-steps) + steps - 1) / (2 * slack**2))
 
 
 def limit_for(slack: float, run: float, charts: int = 1) -> float:
@@ -171,33 +164,18 @@ def limit_for(slack: float, run: float, charts: int = 1) -> float:
     return high
 
 
-@dataclass(frozen=True, eq=False)
-class Charts:
-    """Two-sided charts of values (T, A): sums `up` and `down` (T, A), and the onset of each sum.
+def charts(values: Float, slack: float) -> tuple[Float, Int]:
+    """Compute the two-sided sums (2, T, A) of rows (T, A): S_t = max(0, S_(t-1) +- value_t - slack), and their onsets.
 
-    `up_since` and `down_since` (T, A) are the indices of the first value of each sum; the next index if it is zero.
+    NaN does not change a sum. The onset (2, T, A) is the index of the first value of a sum; the next if it is zero.
     """
-
-    up: Float
-    down: Float
-    up_since: Int
-    down_since: Int
-
-
-def charts(values: Float, slack: float) -> Charts:
-    """Compute the sums S_t = max(0, S_(t-1) +- value_t - slack) of rows (T, A); NaN does not change a sum."""
-    sums: list[tuple[Float, Int]] = []
-    for sign in (1.0, -1.0):
-        level: Float = np.zeros(values.shape)
-        since: Int = np.zeros(values.shape, np.int64)
-        run, begin = np.zeros(values.shape[1]), np.zeros(values.shape[1], np.int64)
-        for place, row in enumerate(values):
-            run = np.where(np.isnan(row), run, np.maximum(0.0, run + sign * row - slack))
-            begin = np.where(run > 0, begin, place + 1)
-            level[place], since[place] = run, begin
-        sums.append((level, since))
-    (up, up_since), (down, down_since) = sums
-    return Charts(up, down, up_since, down_since)
+    sums, since = np.zeros((2, *values.shape)), np.zeros((2, *values.shape), np.int64)
+    run, begin = sums[:, 0].copy(), since[:, 0].copy()
+    for place, row in enumerate(values):
+        run = np.where(np.isnan(row), run, np.maximum(0.0, run + np.stack([row, -row]) - slack))
+        begin = np.where(run > 0, begin, place + 1)
+        sums[:, place], since[:, place] = run, begin
+    return sums, since
 
 
 def innovations(values: Float, correlation: float) -> Float:

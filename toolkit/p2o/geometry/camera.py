@@ -17,10 +17,6 @@ if TYPE_CHECKING:
     import pycolmap
 
 _PINHOLE = "PINHOLE"
-_RADIAL = frozenset(
-    {"SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "FOV", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "OPENCV_FISHEYE"}
-)
-_TANGENTIAL = frozenset({"OPENCV", "FULL_OPENCV"})
 _MIN_DEPTH_M = 1e-6
 _MAX_ROUND_TRIP_PX = 0.01
 _MAX_SIDE_PX, _MAX_PIXELS = 30_000, 200_000_000
@@ -132,7 +128,7 @@ class Camera:
         Beyond it, the polynomial of the distortion decreases and the determinant of the derivative changes its sign.
         """
         # A rotationally symmetric lens needs one direction only.
-        angle, azimuth, a, b = _directions(1 if self._is_radial else 64)
+        angle, azimuth, a, b = _directions(1 if self._closed is not None and self._closed.is_radial else 64)
         if self._closed is not None:
             with np.errstate(over="ignore", invalid="ignore"):
                 one_to_one = (self._closed.determinant(a, b) > 0).all(axis=1)
@@ -150,13 +146,6 @@ class Camera:
         if one_to_one.all():
             return np.inf
         return float(np.tan(angle[max(int(np.argmin(one_to_one)) - 1, 0), 0]))
-
-    @property
-    def _is_radial(self) -> bool:
-        """True if distortion depends on the angle from the axis only."""
-        if self.model in _RADIAL:
-            return True
-        return self.model in _TANGENTIAL and not any(self.params[6:8])
 
     @property
     def _centre(self) -> list[int]:
@@ -193,16 +182,6 @@ class Camera:
         polynomial is not injective. Pixels outside the image are returned, too; see `in_image`.
         """
         xyz = np.asarray(xyz, dtype=np.float64)
-        if self.is_pinhole:
-            fx, fy, cx, cy = self.params
-            depth = xyz[..., 2]
-            scale = 1.0 / np.where(depth > _MIN_DEPTH_M, depth, np.nan)
-            uv = np.empty((*xyz.shape[:-1], 2))
-            np.multiply(xyz[..., 0], scale, out=uv[..., 0])
-            np.multiply(xyz[..., 1], scale, out=uv[..., 1])
-            uv *= (fx, fy)
-            uv += (cx, cy)
-            return uv
         if self._closed is not None:
             uv = np.empty((*xyz.shape[:-1], 2))
             uv[..., 0], uv[..., 1] = self.pixels_of(xyz[..., 0], xyz[..., 1], xyz[..., 2])

@@ -84,8 +84,9 @@ def pose_metrics(
     estimates, truths = np.asarray(estimates, np.float64), np.asarray(truths, np.float64)
     if not len(estimates):
         return {}
-    euler, shift = left_over(estimates, truths)
     relative = estimates[:, :3, :3] @ truths[:, :3, :3].transpose(0, 2, 1)
+    euler = Rotation.from_matrix(relative).as_euler("xyz", degrees=True)
+    shift = estimates[:, :3, 3] - truths[:, :3, 3]
     angle = np.array([se3.angle_deg(se3.make(turn, np.zeros(3))) for turn in relative])
     length = np.linalg.norm(shift, axis=1)
     out: dict[str, float] = {}
@@ -103,14 +104,6 @@ def pose_metrics(
     for name, (most_deg, most_m) in (limits or {}).items():
         out[name] = float(((angle < most_deg) & (length < most_m)).mean())
     return out
-
-
-def left_over(estimates: Float, truths: Float) -> tuple[Float, Float]:
-    """Return Euler angles (N, 3) of R_est R_gt^T in degrees about fixed x, y, z, and t_est - t_gt (N, 3) in metres."""
-    from scipy.spatial.transform import Rotation
-
-    turns = estimates[:, :3, :3] @ truths[:, :3, :3].transpose(0, 2, 1)
-    return Rotation.from_matrix(turns).as_euler("xyz", degrees=True), estimates[:, :3, 3] - truths[:, :3, 3]
 
 
 def _mode(values: Float) -> Float:

@@ -77,15 +77,18 @@ class Projection:
     def pixels(self, a: Float, b: Float) -> tuple[Float, Float]:
         """Return pixels u, v of points of the plane z = 1, a = x / z and b = y / z, of equal shape."""
         (fx, fy), (cx, cy) = self.focal, self.centre
-        square = a * a + b * b
-        factor = self._factor(square)
-        u, v = a * factor, b * factor
-        if any(self._tangential):
-            p1, p2 = self._tangential
-            u += 2 * p1 * a * b + p2 * (square + 2 * a * a)
-            v += 2 * p2 * a * b + p1 * (square + 2 * b * b)
-        u *= fx
-        v *= fy
+        if self.lens.fisheye or any(self.params[self.lens.focal + 2 :]):
+            square = a * a + b * b
+            factor = self._factor(square)
+            u, v = a * factor, b * factor
+            if not self.is_radial:
+                p1, p2 = self._tangential
+                u += 2 * p1 * a * b + p2 * (square + 2 * a * a)
+                v += 2 * p2 * a * b + p1 * (square + 2 * b * b)
+            u *= fx
+            v *= fy
+        else:
+            u, v = a * fx, b * fy
         u += cx
         v += cy
         return u, v
@@ -96,7 +99,7 @@ class Projection:
         factor, steepness = self._factor_and_slope(a * a + b * b)
         mixed = 2 * a * b * steepness
         u_a, v_b, u_b, v_a = factor + 2 * a * a * steepness, factor + 2 * b * b * steepness, mixed, mixed
-        if any(self._tangential):
+        if not self.is_radial:
             p1, p2 = self._tangential
             u_a = u_a + 2 * p1 * b + 6 * p2 * a
             v_b = v_b + 2 * p2 * a + 6 * p1 * b
@@ -137,7 +140,7 @@ class Projection:
 
     def determinant(self, a: Float, b: Float) -> Float:
         """Return the determinant of the derivatives by a and b at points of the plane z = 1, in px^2."""
-        if any(self._tangential):
+        if not self.is_radial:
             u_a, u_b, v_a, v_b = self.slopes(a, b)
             return np.asarray(u_a * v_b - u_b * v_a)
         (fx, fy), square = self.focal, a * a + b * b
@@ -158,6 +161,11 @@ class Projection:
     @property
     def _tangential(self) -> tuple[float, ...]:
         return tuple(self.params[i] for i in self.lens.tangential)
+
+    @property
+    def is_radial(self) -> bool:
+        """Whether the distortion depends on the angle from the axis only."""
+        return not any(self._tangential)
 
     def _factor(self, square: Float) -> Float:
         """Return the radial distortion factor; `square` is the squared tangent of the angle from the axis."""

@@ -15,10 +15,10 @@ from p2o.geometry.projection import LENSES, Projection
 LARGEST = 0.2
 """Maximum error of the intrinsics of a calibrated camera."""
 _STEP = 1e-6
-_ONE_FOCAL = ("SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE")
-_TWO_FOCAL = ("OPENCV", "FULL_OPENCV", "OPENCV_FISHEYE", "THIN_PRISM_FISHEYE")
-_FIRST_RADIAL = {**dict.fromkeys(_ONE_FOCAL, 3), **dict.fromkeys(_TWO_FOCAL, 4)}
+_FIRST_RADIAL = {name: lens.radial[0] for name, lens in LENSES.items() if lens.radial} | {"THIN_PRISM_FISHEYE": 4}
 """Index of the first radial coefficient, after the focal lengths and the principal point."""
+_WITH_RADIAL = {"PINHOLE": ("OPENCV", 4), "SIMPLE_PINHOLE": ("SIMPLE_RADIAL", 1)}
+"""Models that get a radial coefficient: the model with one, and the number of parameters, 0, that are appended."""
 
 
 @dataclass(frozen=True)
@@ -73,20 +73,7 @@ class RadialError:
 
 def is_correctable(camera: Camera) -> bool:
     """Return whether the camera's model has a radial coefficient, or is a pinhole."""
-    return camera.model in ("PINHOLE", "SIMPLE_PINHOLE", *_FIRST_RADIAL)
-
-
-def _radial_model(camera: Camera) -> tuple[str, list[float]]:
-    """Return the model of the camera and its parameters, with a radial coefficient."""
-    params = list(camera.params)
-    if camera.model == "PINHOLE":
-        return "OPENCV", [*params, 0.0, 0.0, 0.0, 0.0]
-    if camera.model == "SIMPLE_PINHOLE":
-        return "SIMPLE_RADIAL", [*params, 0.0]
-    if camera.model in _FIRST_RADIAL:
-        return camera.model, params
-    text = f"camera model {camera.model} has no radial coefficient"
-    raise InputError(text, expected=", ".join(["PINHOLE", *_FIRST_RADIAL]), hint="use pipeline.camera=trust")
+    return camera.model in _WITH_RADIAL or camera.model in _FIRST_RADIAL
 
 
 @lru_cache(maxsize=256)
@@ -98,12 +85,15 @@ def _corrected_camera(camera: Camera, error: RadialError) -> Camera:
 
 def _corrected(camera: Camera, error: RadialError) -> tuple[str, list[float]]:
     """Return the model, one with a radial coefficient, and the parameters of the camera without the error."""
-    model, params = _radial_model(camera)
-    count = 1 if model in _ONE_FOCAL else 2
-    params[:count] = [f * (1 + error.focal) for f in params[:count]]
-    params[_FIRST_RADIAL[model]] += error.radial
-    params[count] += error.x_px
-    params[count + 1] += error.y_px
+    model, appended = _WITH_RADIAL.get(camera.model, (camera.model, 0))
+    if model not in _FIRST_RADIAL:
+        text = f"camera model {model} has no radial coefficient"
+        raise InputError(text, expected=", ".join(["PINHOLE", *_FIRST_RADIAL]), hint="use pipeline.camera=trust")
+    params, first = [*camera.params, *[0.0] * appended], _FIRST_RADIAL[model]
+    params[: first - 2] = [f * (1 + error.focal) for f in params[: first - 2]]
+    params[first] += error.radial
+    params[first - 2] += error.x_px
+    params[first - 1] += error.y_px
     return model, params
 
 
@@ -122,9 +112,9 @@ def slopes(camera: Camera, error: RadialError, xyz: Float, uv: Float | None = No
     if uv is None:
         uv = error.corrected(camera).project(xyz)
     model, params = _corrected(camera, error)
-    count = 1 if model in _ONE_FOCAL else 2
+    first = _FIRST_RADIAL[model]
     by_error = np.empty((len(xyz), 2, 2))
-    by_error[..., 0] = (uv - params[count : count + 2]) / (1 + error.focal)
+    by_error[..., 0] = (uv - params[first - 2 : first]) / (1 + error.focal)
     if model in LENSES:
         inverse_depth = 1 / np.where(np.isnan(uv[:, 0]), np.nan, xyz[:, 2])
         lens = Projection(LENSES[model], tuple(params))
@@ -139,7 +129,7 @@ def slopes(camera: Camera, error: RadialError, xyz: Float, uv: Float | None = No
 
 @dataclass(frozen=True, eq=False)
 class RadialFit:
-    """The radial error of one `camera` estimated from pairs, with the covariance (2, 2) of focal and radial."""
+    """The error of one `camera` estimated from pairs, with the covariance (N, N), first of focal and radial."""
 
     camera: Camera
     error: RadialError
@@ -159,5 +149,5 @@ class RadialFit:
         if not len(ray):
             return float("inf")
         slope = slopes(self.camera, RadialError(), ray)
-        variance = np.einsum("kij,jl,kil->k", slope, self.covariance, slope)
+        variance = np.einsum("kij,jl,kil->k", slope, self.covariance[:2, :2], slope)
         return float(np.sqrt(np.nanmax(variance, initial=0.0)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -25,54 +25,45 @@ _MARGIN_PX = 30.0
 """Edges this far outside the image take part: the initial guess has an error."""
 
 
-@dataclass(frozen=True, eq=False)
-class DistinctViews:
-    """How much each frame shows that others do not.
+def distinct_views(
+    xyz: Float, side: Int8, frame: Int, frames: int, *, same_scene: float = _SAME_EDGES
+) -> tuple[Float, Int]:
+    """Return how much each of `frames` frames shows that others do not (F,), and their scenes (F,).
 
-    `weights` (F,) are the means over the edges of a frame of 1 / (number of frames that contain the edge): 1 for a
-    frame of a place of its own, 1/N for N frames of a static rig. `scenes` (F,) are the numbers of the first frame of
-    the same scene.
+    The edges are `xyz` (K, 3) in m in the LiDAR frame, `side` (K,), `frame` (K,). The weight of a frame is the mean
+    over its edges of 1 / (number of frames that contain the edge): 1 for a frame of a place of its own, 1/N for N
+    frames of a static rig. An edge is in another frame if that has an edge of the same direction within 1 deg and 4 %
+    of the range. For many frames, a random subset of the edges of each frame is looked up. Frames that share
+    `same_scene` of their edges show one scene; its number is that of the first of them.
     """
-
-    weights: Float
-    scenes: Int
-
-    @classmethod
-    def of(cls, xyz: Float, side: Int8, frame: Int, frames: int, *, same_scene: float = _SAME_EDGES) -> DistinctViews:
-        """Compare the edges of `frames` frames: `xyz` (K, 3) in m in the LiDAR frame, `side` (K,), `frame` (K,).
-
-        An edge is in another frame if that has an edge of the same direction within 1 deg and 4 % of the range. For
-        many frames, a random subset of the edges of each frame is looked up. Frames that share `same_scene` of their
-        edges show one scene.
-        """
-        rng, place = np.random.default_rng(0), _places(xyz, side)
-        rows = [np.flatnonzero(frame == number) for number in range(frames)]
-        most = max(_LEAST_ASKED, _MOST_LOOKED_UP // max(frames, 1) ** 2)
-        asked = [its if len(its) <= most else rng.permutation(its)[:most] for its in rows]
-        index = np.concatenate([np.zeros(0, np.int64), *asked])
-        owner = np.repeat(np.arange(frames), [len(its) for its in asked])
-        number_of = np.maximum(np.bincount(owner, minlength=frames), 1)
-        seen_in, shares = np.ones(len(index)), np.eye(frames)
-        for other, its in enumerate(rows):
-            others = np.flatnonzero(owner != other)
-            if len(its) and len(others):
-                contained = np.isfinite(KDTree(place[its]).query(place[index[others]], distance_upper_bound=1.0)[0])
-                seen_in[others] += contained
-                of_others = np.bincount(owner[others], contained, frames) / number_of
-                shares[:, other] = np.where(np.arange(frames) == other, 1.0, of_others)
-        weights = np.bincount(owner, 1.0 / seen_in, frames) / number_of
-        weights = np.where(np.bincount(owner, minlength=frames) > 0, weights, 1.0)
-        return cls(weights, _scenes(shares, same_scene))
+    rng, place = np.random.default_rng(0), _places(xyz, side)
+    rows = [np.flatnonzero(frame == number) for number in range(frames)]
+    most = max(_LEAST_ASKED, _MOST_LOOKED_UP // max(frames, 1) ** 2)
+    asked = [its if len(its) <= most else rng.permutation(its)[:most] for its in rows]
+    index = np.concatenate([np.zeros(0, np.int64), *asked])
+    owner = np.repeat(np.arange(frames), [len(its) for its in asked])
+    number_of = np.maximum(np.bincount(owner, minlength=frames), 1)
+    seen_in, shares = np.ones(len(index)), np.eye(frames)
+    for other, its in enumerate(rows):
+        others = np.flatnonzero(owner != other)
+        if len(its) and len(others):
+            contained = np.isfinite(KDTree(place[its]).query(place[index[others]], distance_upper_bound=1.0)[0])
+            seen_in[others] += contained
+            of_others = np.bincount(owner[others], contained, frames) / number_of
+            shares[:, other] = np.where(np.arange(frames) == other, 1.0, of_others)
+    weights = np.bincount(owner, 1.0 / seen_in, frames) / number_of
+    weights = np.where(np.bincount(owner, minlength=frames) > 0, weights, 1.0)
+    return weights, _scenes(shares, same_scene)
 
 
 def view_count(xyz: Float, side: Int8, frame: Int) -> float:
     """Count the distinct views of the frames of edges: all frames, or down to 1 for a static rig.
 
     `xyz` (K, 3) are edges in m in the LiDAR frame, `side` (K,) their directions, `frame` (K,) their frames. The count
-    is the sum of the weights of `DistinctViews`.
+    is the sum of the weights of `distinct_views`.
     """
     numbers, of = np.unique(frame, return_inverse=True)
-    return float(DistinctViews.of(xyz, side, of.reshape(-1), len(numbers)).weights.sum())
+    return float(distinct_views(xyz, side, of.reshape(-1), len(numbers))[0].sum())
 
 
 def weighted(views: Sequence[View], camera_from_lidar: Float) -> list[View]:
@@ -91,11 +82,9 @@ def weighted(views: Sequence[View], camera_from_lidar: Float) -> list[View]:
             frame.append(np.full(int(visible.sum()), number))
     same = _SAME_EDGES if any(len(view.cloud_edges) for view in views) else _SAME_POINTS
     columns = np.concatenate(xyz), np.concatenate(side), np.concatenate(frame)
-    distinct = DistinctViews.of(*columns, len(views), same_scene=same)
-    return [
-        replace(view, weight=float(weight), scene=int(scene))
-        for view, weight, scene in zip(views, distinct.weights, distinct.scenes, strict=True)
-    ]
+    weights, scenes = distinct_views(*columns, len(views), same_scene=same)
+    shares = zip(views, weights.tolist(), scenes.tolist(), strict=True)
+    return [replace(view, weight=weight, scene=scene) for view, weight, scene in shares]
 
 
 def _features(view: View) -> list[tuple[Float, Int8]]:

@@ -7,7 +7,7 @@ number of intervals that contain an image edge has one sharp maximum.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -18,6 +18,7 @@ from p2o.features.side import SIDES, Side
 from p2o.features.view import View
 from p2o.geometry import se3
 from p2o.geometry.camera import Camera
+from p2o.geometry.motion import adjoint_matrix
 from p2o.problems.directed_cost import interpolated
 from p2o.problems.distinct_views import evenly_chosen, scenes_of
 from p2o.problems.point_to_line import OUTLINE_CELL_PX
@@ -256,18 +257,8 @@ class IntervalLikelihood:
         return density, out
 
     def maximised(self, pose: Float) -> Float:
-        """Return the pose (4, 4) of the local maximum near a pose, by BFGS."""
-        from scipy.optimize import minimize
-
-        if not self.points:
-            return pose
-
-        def cost_and_gradient(x: Float) -> tuple[float, Float]:
-            value, gradient = self.with_gradient(se3.exp(x * _STEPS) @ pose)
-            return -value, -gradient * _STEPS
-
-        best = minimize(cost_and_gradient, np.zeros(6), jac=True, method="BFGS", options={"maxiter": 20, "gtol": 0.2})
-        return np.asarray(se3.exp(best.x * _STEPS) @ pose)
+        """Return the pose (4, 4) of the local maximum near a pose."""
+        return most_likely_near([(np.eye(4), self.with_gradient)], pose, _STEPS, 20) if self.points else pose
 
     def covariance(self, pose: Float) -> Float:
         """Return the covariance (6, 6) of a left update in rad and m at the maximum.
@@ -299,6 +290,33 @@ class IntervalLikelihood:
             keys.append(np.column_stack([np.full((len(cell), 2), (self.scenes[part.view], int(part.side))), cell]))
         numbers = np.unique(np.concatenate([np.zeros((0, 4)), *keys]), axis=0, return_inverse=True)[1]
         return np.asarray(numbers.reshape(-1), np.int64)
+
+
+def most_likely_near(
+    parts: Sequence[tuple[Float, Callable[[Float], tuple[float, Float]]]],
+    body_from_lidar: Float,
+    steps: Float,
+    iterations: int,
+) -> Float:
+    """Return the pose (4, 4) of the local maximum of a sum of interval likelihoods near a pose, by BFGS.
+
+    `parts` are camera_from_body (4, 4) and the log likelihood of each camera with its derivatives; `steps` (6,) are the
+    units of the unknowns in rad and m.
+    """
+    from scipy.optimize import minimize
+
+    known = [(place, adjoint_matrix(place), likelihood) for place, likelihood in parts]
+
+    def cost_and_gradient(x: Float) -> tuple[float, Float]:
+        pose, total, gradient = se3.exp(x * steps) @ body_from_lidar, 0.0, np.zeros(6)
+        for place, adjoint, likelihood in known:
+            value, by_camera = likelihood(place @ pose)
+            total, gradient = total - value, gradient - by_camera @ adjoint
+        return total, gradient * steps
+
+    start = np.zeros(6)
+    best = minimize(cost_and_gradient, start, jac=True, method="BFGS", options={"maxiter": iterations, "gtol": 0.2})
+    return np.asarray(se3.exp(best.x * steps) @ body_from_lidar)
 
 
 def _ends(view: View, rows: Int, around: Float) -> tuple[Float, Float]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from p2o.arrays import Float
-from p2o.calibration.algorithm import Algorithm, missing_features
+from p2o.calibration.algorithm import Algorithm, is_far, missing_features
 from p2o.confidence.assessment import assess, refused
 from p2o.features.sets import CloudFeatures, ImageFeatures
 from p2o.features.view import View
@@ -62,7 +62,7 @@ class Pipeline(Algorithm):
             proposals = self.propose(visible, start)
         with clock.of("refine"):
             refined = self.refine(visible, start, proposals)
-            if refined.solved and refined.far:
+            if refined.solved and is_far(refined.start, refined.best.pose):
                 refined = self.refine_again(views, refined)
             if refined.solved:
                 refined = self.with_rivals(refined)

@@ -17,7 +17,7 @@ from p2o.calibration.algorithm import EDGES, Estimate, Refined, VisibleViews
 from p2o.calibration.judge import SIGMA_PX, is_sparse, judge_of
 from p2o.calibration.nuisance import NuisanceEstimate, enough_pairs
 from p2o.calibration.options import PipelineOptions
-from p2o.calibration.rig_judge import RigJudge, most_likely_near
+from p2o.calibration.rig_judge import RIG_STEPS, RigJudge
 from p2o.calibration.rounds import REACH_AFTER_SEARCH_PX, End, Rounds
 from p2o.confidence.assessment import assess
 from p2o.confidence.fusion import WIDER, Fusion, Opinion, compared, contradictions, rig_result
@@ -30,7 +30,7 @@ from p2o.frames.scale import camera_at_scale
 from p2o.geometry import se3
 from p2o.geometry.pose_error import deviations
 from p2o.host.stages import JudgeBase
-from p2o.problems.interval_likelihood import IntervalLikelihood
+from p2o.problems.interval_likelihood import IntervalLikelihood, most_likely_near
 from p2o.problems.problem import LeastSquares, Problem
 from p2o.problems.rig_residuals import RigResiduals
 from p2o.results.evidence import Accuracy, Agreement
@@ -204,7 +204,7 @@ class _Solved:
         ends = []
         for pose in poses:
             end = rounds((), start, pose, judge, reach_px=REACH_AFTER_SEARCH_PX, found_by="initialize")
-            if end.solved:
+            if end.status.solved:
                 ends.append(end)
         if not ends:
             return None
@@ -290,7 +290,7 @@ def _most_likely(cameras: Sequence[_Camera], proposals: Sequence[Float]) -> Floa
         if level == 0:
             values = [sum(float(its((place @ one)[None])[0]) for place, its in parts) for one in proposals]
             pose = proposals[int(np.argmax(values))]
-        pose = most_likely_near([(place, its.with_gradient) for place, its in parts], pose)
+        pose = most_likely_near([(place, its.with_gradient) for place, its in parts], pose, RIG_STEPS, 30)
         shares = [its.fitted(place @ pose).shares for place, its in parts]
     return pose
 

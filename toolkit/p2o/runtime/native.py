@@ -129,19 +129,11 @@ def for_each(function: Callable[[_Item], _Result], items: Sequence[_Item], *, pa
     threads = min(len(items), cores()) if parallel else 1
     if threads < 2:
         return [function(item) for item in items]
-    import joblib
+    from concurrent.futures import ThreadPoolExecutor
 
-    def attempt(item: _Item) -> _Result | Exception:
-        try:
-            with single_core():
-                return function(item)
-        except Exception as problem:
-            return problem
+    def on_one_core(item: _Item) -> _Result:
+        with single_core():
+            return function(item)
 
-    jobs = (joblib.delayed(attempt)(item) for item in items)
-    results: list[_Result] = []
-    for result in joblib.Parallel(n_jobs=threads, prefer="threads", batch_size=1)(jobs):
-        if isinstance(result, Exception):
-            raise result
-        results.append(result)
-    return results
+    with ThreadPoolExecutor(threads) as pool:
+        return list(pool.map(on_one_core, items))
