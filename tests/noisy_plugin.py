@@ -45,6 +45,8 @@ def calibrate(frames: Any, start: Any) -> p2o.Result:
 make_noise()
 if MODE == "textless-import":
     raise TextlessError
+if MODE == "interrupt-import":
+    raise KeyboardInterrupt
 
 
 @p2o.hookimpl

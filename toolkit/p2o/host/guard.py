@@ -162,9 +162,11 @@ class GuardedJudge(JudgeBase):
     @classmethod
     def of(cls, offer: Offer, judge: Any, *, weights_views: bool = True) -> GuardedJudge:
         """Return the judge with every later call checked; raises PluginError where it is no p2o.Judge."""
-        if not isinstance(judge, Judge):
-            raise fault(offer, f"judge returned {type(judge).__name__}", "p2o.Judge: name, unit, costs, lead and on")
         with watch(offer, "naming its judge"):
+            if not isinstance(judge, Judge):
+                raise fault(
+                    offer, f"judge returned {type(judge).__name__}", "p2o.Judge: name, unit, costs, lead and on"
+                )
             capable = judge if isinstance(judge, JudgeBase) else JudgeBase
             name, unit = str(judge.name), str(judge.unit)
         return cls(offer, judge, name, unit, capable.camera_errors, capable.min_cells, weights_views)
@@ -278,15 +280,16 @@ def build(offer: Offer, options: Options) -> Any:
     A guarded stage raises PluginError, naming plugin and stage, where the plugin raises anything but a P2OError or
     returns a wrong type, a wrong shape or NaN. Raises MethodUnavailable where a package is not installed.
     """
+    # Up to Python 3.11, `isinstance` with a protocol reads properties of the plugin's class.
     with watch(offer, "building"):
         stage = offer.method.build(options)
-    if offer.kind is Kind.DATASET:
-        return GuardedDataset(offer, stage, options)
-    if offer.kind in _CLASSES:
-        return _CLASSES[offer.kind](offer, stage)
-    if not callable(stage):
-        raise fault(offer, f"build returned {type(stage).__name__}", "something to call")
-    return _GUARDS[offer.kind](offer, stage)
+        if offer.kind is Kind.DATASET:
+            return GuardedDataset(offer, stage, options)
+        if offer.kind in _CLASSES:
+            return _CLASSES[offer.kind](offer, stage)
+        if not callable(stage):
+            raise fault(offer, f"build returned {type(stage).__name__}", "something to call")
+        return _GUARDS[offer.kind](offer, stage)
 
 
 class GuardedDataset(Sequence[Frame]):
@@ -411,7 +414,7 @@ class GuardedMatcher(_Guarded, MatcherBase):
         offer = self._offer
         with _calling(offer, "matching"):
             problem = self._stage(views if self._weights_views else one_per_scene(views), camera_from_lidar, reach_px)
-        problem = guarded_problem(offer, problem)
+            problem = guarded_problem(offer, problem)
         if not isinstance(problem, LeastSquares):
             return problem
         frame = np.asarray(problem.frame)
