@@ -53,6 +53,8 @@ def calibrate(frames: Any, start: Any) -> p2o.Result:
 make_noise()
 if mode() == "textless-import":
     raise TextlessError
+if MODE == "interrupt-import":
+    raise KeyboardInterrupt
 
 
 @p2o.hookimpl

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import p2o
+from p2o.errors import Terminated
 
 
 class Own(BaseException):
@@ -83,7 +84,7 @@ def build(options: SpyOptions) -> p2o.Calibrator:
         if len(calls) - 1 == options.fail_at:
             raise EXCEPTIONS[options.raises]
         if len(calls) - 1 == options.interrupt_at:
-            raise KeyboardInterrupt
+            raise Terminated  # as Ctrl-C does
         names = tuple(frame.name for frame in frames)
         return p2o.Result(names, start, start, p2o.Status(options.status), "because it is a test")
 

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import p2o
 from p2o import Camera, se3
+from p2o.errors import Terminated
 
 AXES = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])
 TRUTH = se3.exp(np.array([0.01, -0.02, 0.015, 0, 0, 0])) @ se3.make(AXES, [0.02, -0.08, -0.27])
@@ -144,7 +145,7 @@ def build_quick(options: QuickOptions) -> p2o.Calibrator:
         names = tuple(frame.name for frame in frames)
         calls.append(names)
         if len(calls) == options.interrupt_after:
-            raise KeyboardInterrupt
+            raise Terminated  # as Ctrl-C does
         if options.die_once:
             try:
                 # A file that an option names would count with its content.

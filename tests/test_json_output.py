@@ -63,7 +63,8 @@ def test_processes_that_a_plugin_forks_print_nothing_and_end() -> None:
     [
         ("textless", (), 2, "calibrator 'noisy' raised TextlessError while calibrating; got no text, because"),
         ("textless-import", (), 2, "cannot load plugin noisy_plugin.py:noisy_plugin; got TextlessError: no text"),
-        ("interrupt", (), 130, "p2o: interrupted"),
+        ("interrupt", (), 2, "calibrator 'noisy' raised KeyboardInterrupt while calibrating"),
+        ("interrupt-import", (), 2, "cannot load plugin noisy_plugin.py:noisy_plugin; got KeyboardInterrupt"),
         ("interrupt", ("--isolate",), 2, "calibrator 'noisy' raised KeyboardInterrupt while calibrating"),
     ],
 )

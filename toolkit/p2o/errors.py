@@ -96,3 +96,8 @@ class MethodUnavailable(P2OError):  # noqa: N818  (a state of the installation, 
 
 class Terminated(KeyboardInterrupt):
     """A signal asks the process to end, as Ctrl-C does; unlike KeyboardInterrupt no plugin raises it."""
+
+
+def terminate(number: int, frame: object) -> None:
+    """Raise Terminated: the handler of signals that end the process."""
+    raise Terminated

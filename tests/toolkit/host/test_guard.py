@@ -161,6 +161,38 @@ def test_a_method_that_prepares_no_data_is_refused_with_the_frame(kind: Kind, va
         guarded(kind, Recorder(lambda _: value)).prepare(frame)
 
 
+class Failing:
+    """Raises when a property is read, which `isinstance` with a protocol does up to Python 3.11."""
+
+    @property
+    def names(self) -> Any:
+        raise ZeroDivisionError
+
+    name = unit = names
+
+    def __len__(self) -> int:
+        return 0
+
+    __getitem__ = costs = lead = on = __len__
+
+
+class Judging(p2o.MatcherBase):
+    """A matcher with a judge that fails."""
+
+    def __call__(self, *_: Any) -> Any:
+        raise AssertionError("only its judge is made here")
+
+    def judge(self, *_: Any) -> Any:
+        return Failing()
+
+
+def test_properties_that_raise_are_faults_of_the_plugin() -> None:
+    with pytest.raises(PluginError, match="plugin acme: dataset 'fake' raised ZeroDivisionError while"):
+        guarded(Kind.DATASET, Failing())
+    with pytest.raises(PluginError, match="matcher 'fake' raised ZeroDivisionError while naming its judge"):
+        guarded(Kind.MATCHER, Judging()).judge([stage.view()], np.eye(4), [np.eye(4)])
+
+
 def test_a_dataset_may_identify_computed_frames() -> None:
     def identity(*values: Any) -> Any:
         dataset = LazyFrames({"a": 1}, lambda _: stage.frame(), identify=(lambda _: values[0]) if values else None)

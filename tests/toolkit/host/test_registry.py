@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import io
 import os
+import signal
 import sys
 import textwrap
 import threading
 import warnings
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import redirect_stdout
 from pathlib import Path
 
@@ -293,15 +295,43 @@ def test_the_state_of_the_process_stays_after_a_stage(tmp_path: Path, monkeypatc
         sys.stdout = sys.stderr = io.StringIO()
         np.seterr(all="raise")
         warnings.simplefilter("error", SyntaxWarning)
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
         return p2o.Solution(pose, 0.0, 1)
 
     def state() -> tuple[object, ...]:
-        return os.getcwd(), sys.getrecursionlimit(), sys.stdout, sys.stderr, np.geterr(), list(warnings.filters)
+        streams, filters = (sys.stdout, sys.stderr), list(warnings.filters)
+        handler = signal.getsignal(signal.SIGINT)
+        return os.getcwd(), sys.getrecursionlimit(), streams, np.geterr(), filters, handler
 
     monkeypatch.chdir(tmp_path)
     before = state()
     build(offer_of(Kind.SOLVER, solve), p2o.Options())(None, np.eye(4))
     assert state() == before
+
+
+def test_standard_output_is_opened_again_if_a_stage_closes_it(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def solve(problem: object, pose: np.ndarray) -> p2o.Solution:
+        sys.stdout.close()
+        return p2o.Solution(pose, 0.0, 1)
+
+    with open(1, "w", encoding="ascii", errors="backslashreplace", closefd=False) as stdout:
+        monkeypatch.setattr(sys, "stdout", stdout)
+        build(offer_of(Kind.SOLVER, solve), p2o.Options())(None, np.eye(4))
+    print("0.1 \N{DEGREE SIGN}")
+    assert capfd.readouterr().out == "0.1 \\xb0\n"
+
+
+def test_an_interruption_that_no_signal_can_raise_is_that_of_the_plugin(monkeypatch: pytest.MonkeyPatch) -> None:
+    def solve(problem: object, pose: np.ndarray) -> p2o.Solution:
+        raise KeyboardInterrupt
+
+    stage = build(offer_of(Kind.SOLVER, solve), p2o.Options())
+    with pytest.raises(KeyboardInterrupt):
+        stage(None, np.eye(4))
+    with ThreadPoolExecutor(1) as pool, pytest.raises(PluginError, match="'fake' raised KeyboardInterrupt"):
+        pool.submit(stage, None, np.eye(4)).result()
 
 
 def test_the_working_directory_is_restored_if_a_stage_removes_its_own(

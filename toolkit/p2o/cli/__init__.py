@@ -13,14 +13,13 @@ import warnings
 from collections.abc import Iterator, Sequence
 from functools import cache
 from importlib.metadata import entry_points
-from types import FrameType
 from typing import Any
 
 import click
 
 from p2o.cli.completion import VARIABLE, answer_shell
 from p2o.cli.json_output import STDOUT, reserved_stdout, wants_json
-from p2o.errors import LONGEST, InputError, P2OError, Terminated, one_line
+from p2o.errors import LONGEST, InputError, P2OError, one_line, terminate
 from p2o.runtime.native import keep_freed_memory
 
 _COMMANDS = {
@@ -153,7 +152,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             return answer_shell(group, instruction)
         _check_readable(words)
         reserved = reserved_stdout(restored=argv is not None) if wants_json(words) else contextlib.nullcontext()
-        with reserved, _terminated_as_interrupted():
+        with reserved, _terminated_by_signals():
             status = group.main(words, prog_name="p2o", standalone_mode=False)
         if sys.stdout is not None:
             sys.stdout.flush()
@@ -205,25 +204,20 @@ def _check_readable(words: Sequence[str]) -> None:
 
 
 @contextlib.contextmanager
-def _terminated_as_interrupted() -> Iterator[None]:
-    """Treat SIGTERM and SIGHUP as Ctrl-C, unless they have a handler."""
-
-    def interrupt(number: int, frame: FrameType | None) -> None:
-        raise Terminated
-
-    taken = []
-    for name in ("SIGTERM", "SIGHUP"):
+def _terminated_by_signals() -> Iterator[None]:
+    """Raise Terminated for Ctrl-C, SIGTERM and SIGHUP, unless they have a handler."""
+    replaced = {}
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
         number = getattr(signal, name, None)
         # Ignored signals (nohup) stay ignored; handlers can only be set in the main thread.
-        if number is not None and signal.getsignal(number) is signal.SIG_DFL:
+        if number is not None and signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
             with contextlib.suppress(ValueError):
-                signal.signal(number, interrupt)
-                taken.append(number)
+                replaced[number] = signal.signal(number, terminate)
     try:
         yield
     finally:
-        for number in taken:
-            signal.signal(number, signal.SIG_DFL)
+        for number, handler in replaced.items():
+            signal.signal(number, handler)
 
 
 def _system_hint(number: int | None) -> str:

@@ -159,9 +159,11 @@ class GuardedJudge(JudgeBase):
     @classmethod
     def of(cls, offer: Offer, judge: Any, *, weights_views: bool = True) -> GuardedJudge:
         """Return the judge with every later call checked; raises PluginError where it is no p2o.Judge."""
-        if not isinstance(judge, Judge):
-            raise fault(offer, f"judge returned {type(judge).__name__}", "p2o.Judge: name, unit, costs, lead and on")
         with watch(offer, "naming its judge"):
+            if not isinstance(judge, Judge):
+                raise fault(
+                    offer, f"judge returned {type(judge).__name__}", "p2o.Judge: name, unit, costs, lead and on"
+                )
             capable = judge if isinstance(judge, JudgeBase) else JudgeBase
             name, unit = str(judge.name), str(judge.unit)
         return cls(offer, judge, name, unit, capable.camera_errors, capable.min_cells, weights_views)
@@ -261,10 +263,11 @@ def build(offer: Offer, options: Options) -> Any:
     A guarded stage raises PluginError, naming plugin and stage, where the plugin raises anything but a P2OError or
     returns a wrong type, a wrong shape or NaN. Raises MethodUnavailable where a package is not installed.
     """
+    # Up to Python 3.11, `isinstance` with a protocol reads properties of the plugin's class.
     with watch(offer, "building"):
         stage = offer.method.build(options)
-    guarded = _GUARDS[offer.kind]
-    return guarded(offer, stage, options) if offer.kind is Kind.DATASET else guarded(offer, stage)
+        guarded = _GUARDS[offer.kind]
+        return guarded(offer, stage, options) if offer.kind is Kind.DATASET else guarded(offer, stage)
 
 
 class _Guarded:
@@ -406,7 +409,7 @@ class GuardedMatcher(_Guarded, MatcherBase):
         offer = self._offer
         with _calling(offer, "matching"):
             returned = self._stage(views if self._weights_views else one_per_scene(views), camera_from_lidar, reach_px)
-        problem = guarded_problem(offer, returned)
+            problem = guarded_problem(offer, returned)
         if not isinstance(problem, LeastSquares):
             return problem
         frame = np.asarray(problem.frame)

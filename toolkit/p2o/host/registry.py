@@ -16,7 +16,7 @@ import threading
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from importlib.metadata import Distribution, EntryPoint, PackageNotFoundError, entry_points, requires
@@ -34,6 +34,7 @@ from p2o.errors import (
     Terminated,
     UnknownNameError,
     one_line,
+    terminate,
 )
 from p2o.files.input_file import MAX_TEXT_BYTES, expanded, read_bytes
 from p2o.host import hookspecs
@@ -187,10 +188,10 @@ class Registry:
                     good.append(_register(host, source))
                 if isinstance(source.value, Path):
                     _file_plugins[source.value.resolve()] = good[-1]
-            except KeyboardInterrupt:
-                raise
             # A plugin that calls sys.exit() on import must not end the program that only lists it.
             except BaseException as problem:
+                if _by_user(problem):
+                    raise
                 # pluggy keeps a plugin that fails validation half registered: its other hooks would still answer.
                 if source.name not in names and host.has_plugin(source.name):
                     host.unregister(name=source.name)
@@ -414,7 +415,7 @@ def fault(offer: Offer, what: str, expected: object = None) -> PluginError:
 
 @contextmanager
 def watch(offer: Offer, doing: str) -> Iterator[None]:
-    """Turn exceptions of a plugin into a PluginError that names it; P2OError and KeyboardInterrupt pass unchanged.
+    """Turn exceptions of a plugin into a PluginError that names it; P2OError and Ctrl-C pass unchanged.
 
     SystemExit and other classes that do not derive from Exception are faults, too: they would end the program. A
     missing package becomes MethodUnavailable, and an OSError of a data set or exporter an InputError with the file.
@@ -425,13 +426,8 @@ def watch(offer: Offer, doing: str) -> Iterator[None]:
             _reported(f"plugin {offer.dist}: {offer.kind} '{offer.name}' ended its process while {doing}"),
         ):
             yield
-    except (P2OError, Terminated):
+    except P2OError:
         raise
-    except KeyboardInterrupt as problem:
-        if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
-            raise
-        # This process ignores Ctrl-C: the plugin has raised it.
-        raise _raised(offer, doing, problem) from problem
     except ModuleNotFoundError as problem:
         raise _unavailable(offer, problem) from problem
     except OSError as problem:
@@ -440,7 +436,23 @@ def watch(offer: Offer, doing: str) -> Iterator[None]:
             raise InputError(text, where=problem.filename, got=problem.strerror or one_line(problem)) from problem
         raise _raised(offer, doing, problem) from problem
     except BaseException as problem:
+        if _by_user(problem):
+            raise
         raise _raised(offer, doing, problem) from problem
+
+
+def _by_user(problem: BaseException) -> bool:
+    """Return whether Ctrl-C or another signal may have raised an exception during a call of a plugin.
+
+    Where Ctrl-C raises Terminated or is ignored, and in threads, which receive no signals, a plugin raises a plain
+    KeyboardInterrupt.
+    """
+    if isinstance(problem, Terminated):
+        return True
+    if not isinstance(problem, KeyboardInterrupt):
+        return False
+    in_main_thread = threading.current_thread() is threading.main_thread()
+    return in_main_thread and signal.getsignal(signal.SIGINT) not in (signal.SIG_IGN, terminate)
 
 
 @contextmanager
@@ -452,6 +464,7 @@ def _same_process() -> Iterator[None]:
     process = os.getpid()
     limit = sys.getrecursionlimit()
     folder = _working_directory()
+    on_interrupt = signal.getsignal(signal.SIGINT)
     numpy = sys.modules.get("numpy")
     with _streams_and_warnings(), nullcontext() if numpy is None else numpy.errstate():
         try:
@@ -465,6 +478,9 @@ def _same_process() -> Iterator[None]:
                 sys.setrecursionlimit(limit)
             if folder and _working_directory() != folder:
                 os.chdir(folder)
+            if signal.getsignal(signal.SIGINT) is not on_interrupt:
+                with suppress(ValueError, TypeError):  # in another thread, or it was a handler of C code
+                    signal.signal(signal.SIGINT, on_interrupt)
 
 
 _states: list[tuple[Any, Any, list[Any]]] = []
@@ -487,11 +503,18 @@ def _streams_and_warnings() -> Iterator[None]:
             stdout, stderr, raising = _states[0]
             _states.pop()
             if not _states:
-                sys.stdout, sys.stderr = stdout, stderr
+                sys.stdout, sys.stderr = _opened(stdout, 1), _opened(stderr, 2)
                 if any(entry not in raising for entry in _raising_filters()):
                     kept = [entry for entry in warnings.filters if entry[0] != "error" or entry in raising]
                     warnings.resetwarnings()
                     list.extend(cast(Any, warnings.filters), kept)
+
+
+def _opened(stream: Any, descriptor: int) -> Any:
+    """Return a stream, or a new one of its descriptor if a plugin has closed it."""
+    if not getattr(stream, "closed", False):
+        return stream
+    return open(descriptor, "w", buffering=1, encoding=stream.encoding, errors=stream.errors, closefd=False)
 
 
 def _raising_filters() -> list[Any]:
