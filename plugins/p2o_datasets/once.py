@@ -22,20 +22,12 @@ from p2o.reading import existing_folder, layout, numbers, parse_json, read_pose,
 from p2o_formats.camera_entry import read_camera
 from p2o_formats.kitti_calibration import check_centre
 
+from p2o_datasets import lazy_dataset
 from p2o_datasets.bin_file import KITTI_COLUMNS
 from p2o_datasets.cloud_file import read_cloud
 from p2o_datasets.ego_path import pose_rows
 from p2o_datasets.kitti_folder import is_number
-from p2o_datasets.lazy_dataset import (
-    Listed,
-    Words,
-    cameras_field,
-    chosen,
-    drives_in,
-    file_inside,
-    read_image,
-    rig_frame,
-)
+from p2o_datasets.lazy_dataset import Listed, Words, cameras_field, chosen, drives_in, file_inside, rig_frame
 
 CAMERAS = ("cam01", "cam03", "cam05", "cam06", "cam07", "cam08", "cam09")
 _LIDAR = "lidar_roof"
@@ -92,29 +84,24 @@ def build(options: OnceOptions) -> Dataset:
     root = existing_folder(options.root, "ONCE").resolve()
     cameras = chosen("camera", options.cameras, CAMERAS)
     frames = Listed()
-    for sequence in _sequences(root, options.sequences):
-        folder = sequence.path.parent
+    home, expected = root / "data" if os.path.isdir(root / "data") else root, "folders such as 000027 with 000027.json"
+    for folder in drives_in(home, "sequence", "ONCE", options.sequences, _is_sequence, expected):
+        sequence = _sequence(folder)
         for camera in cameras:
             for number, record in enumerate(sequence.frames):
                 shot = _Shot(sequence, camera, number, _id(record, sequence.path))
                 missing = (f"{folder / file} is missing" for file in shot.files if not os.path.isfile(folder / file))
                 frames.add(shot.name, shot, next(missing, ""))
     expected = f"images of {', '.join(cameras)} and sweeps in {_LIDAR}"
-    got = "sequences without frames"
-    return frames.lazy("ONCE", root, partial(_read, options), expected=expected, got=got)
+    return frames.lazy("ONCE frames", root, partial(_read, options), expected=expected, got="sequences without frames")
 
 
-def _sequences(root: Path, wanted: Sequence[str]) -> list[_Sequence]:
-    home, expected = root / "data" if os.path.isdir(root / "data") else root, "folders such as 000027 with 000027.json"
-    folders = drives_in(home, "sequence", "ONCE", wanted, lambda folder: os.path.isfile(_file(folder)), expected)
-    return [_sequence(_file(folder)) for folder in folders]
+def _is_sequence(folder: Path) -> bool:
+    return os.path.isfile(folder / f"{folder.name}.json")
 
 
-def _file(folder: Path) -> Path:
-    return folder / f"{folder.name}.json"
-
-
-def _sequence(path: Path) -> _Sequence:
+def _sequence(folder: Path) -> _Sequence:
+    path = folder / f"{folder.name}.json"
     value = parse_json(read_text(path, "file of a sequence"), "file of a sequence", path)
     calibration, frames = (value.get(key) if isinstance(value, Mapping) else None for key in ("calib", "frames"))
     if not isinstance(calibration, Mapping) or not isinstance(frames, list):
@@ -137,24 +124,19 @@ def _read(options: OnceOptions, shot: _Shot) -> Frame:
     sequence = shot.sequence
     folder = sequence.path.parent
     image_path, sweep_path = (file_inside(folder.resolve(), folder, file, sequence.path) for file in shot.files)
-    entry, lidar_from_camera = _mounted(shot)
-    image, warnings = read_image(image_path, partial(_camera, options, shot, entry))
-    cloud, cloud_warnings = read_cloud(sweep_path, columns=KITTI_COLUMNS)
-    first = _id(sequence.frames[0], sequence.path)
-    pose = _pose(sequence.frames[shot.number], shot.id, sequence.path)
-    time_s, extrinsic = (int(shot.id) - int(first)) / _PER_SECOND, se3.inverse(lidar_from_camera)
-    return rig_frame(shot.name, time_s, image, cloud, extrinsic, pose, *warnings, *cloud_warnings)
-
-
-def _mounted(shot: _Shot) -> tuple[Mapping[str, Any], Float]:
-    """Return the entry of a camera, and lidar_from_camera (4, 4)."""
-    path = shot.sequence.path
-    if shot.camera not in shot.sequence.calibration:
-        raise UnknownNameError("camera", shot.camera, map(str, shot.sequence.calibration), where=path)
-    entry = shot.sequence.calibration[shot.camera]
+    path, calibration = sequence.path, sequence.calibration
+    if shot.camera not in calibration:
+        raise UnknownNameError("camera", shot.camera, map(str, calibration), where=path)
+    entry = calibration[shot.camera]
     if not isinstance(entry, Mapping):
         raise InputError(f"calib.{shot.camera} is not an object", where=path, expected="cam_to_velo, cam_intrinsic")
-    return entry, read_pose(f"calib.{shot.camera}.cam_to_velo", entry.get("cam_to_velo"), path)[0]
+    lidar_from_camera, _ = read_pose(f"calib.{shot.camera}.cam_to_velo", entry.get("cam_to_velo"), path)
+    image, warnings = lazy_dataset.read_image(image_path, partial(_camera, options, shot, entry))
+    cloud, cloud_warnings = read_cloud(sweep_path, columns=KITTI_COLUMNS)
+    first = _id(sequence.frames[0], path)
+    pose = _pose(sequence.frames[shot.number], shot.id, path)
+    time_s, extrinsic = (int(shot.id) - int(first)) / _PER_SECOND, se3.inverse(lidar_from_camera)
+    return rig_frame(shot.name, time_s, image, cloud, extrinsic, pose, *warnings, *cloud_warnings)
 
 
 def _camera(options: OnceOptions, shot: _Shot, entry: Mapping[str, Any], width: int, height: int) -> Camera:
