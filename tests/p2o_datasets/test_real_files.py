@@ -23,9 +23,7 @@ def test_every_sweep_of_kitti_is_told_by_its_values_to_have_four_columns(real_da
 
 @pytest.mark.parametrize("columns", [4, 5, 6])
 @pytest.mark.parametrize("full_scale", [1, 255])
-def test_sweeps_of_other_rigs_are_told_by_their_values_in_any_order(
-    real_data: Path, columns: int, full_scale: int
-) -> None:
+def test_sweeps_of_other_rigs_are_told_by_their_values(real_data: Path, columns: int, full_scale: int) -> None:
     """Each combination on every fifth sweep, each with another first one: most sweeps are in some combination."""
     rng = np.random.default_rng(0)
     paths = sorted(real_data.glob("rigs/*/*/cloud.npz"))

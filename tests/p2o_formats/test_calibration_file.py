@@ -43,9 +43,7 @@ FORMS = [(name, {}) for name in sorted(BY_NAME)] + [("ros2", {"form": form}) for
 
 
 @pytest.mark.parametrize(("name", "options"), FORMS, ids=str)
-def test_files_with_comments_state_verdict_and_predicted_error(
-    tmp_path: Path, name: str, options: dict[str, str]
-) -> None:
+def test_comments_state_verdict_and_predicted_error(tmp_path: Path, name: str, options: dict[str, str]) -> None:
     method, path = BY_NAME[name], tmp_path / "result.out"
     result = replace(RESULT, accuracy=Accuracy(0.21, 0.034, 0.5, 0.081))
     method.build(method.options(**options))(result, path)
