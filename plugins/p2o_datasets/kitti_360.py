@@ -57,9 +57,6 @@ class _Drive:
     root: Path
     name: str
 
-    def images(self, camera: str) -> Path:
-        return self.root / "data_2d_raw" / self.name / camera
-
     @property
     def sweeps(self) -> Path:
         return self.root / "data_3d_raw" / self.name / "velodyne_points"
@@ -147,8 +144,8 @@ def build(options: Kitti360Options) -> Dataset:
     for drive in drives:
         clouds = sweeps(drive.sweeps / "data")
         for camera in cameras:
-            image_folder, cloud_folder = drive.images(camera) / CAMERAS[camera], drive.sweeps / "data"
-            add_pairs(frames, image_folder, cloud_folder, f"{drive.name}/{camera}/", (drive, camera), clouds=clouds)
+            data = (root / "data_2d_raw" / drive.name / camera / CAMERAS[camera], drive.sweeps / "data")
+            add_pairs(frames, *data, f"{drive.name}/{camera}/", (drive, camera), clouds=clouds)
     expected = f"data_2d_raw/DRIVE/{cameras[0]}/{CAMERAS[cameras[0]]} and data_3d_raw/DRIVE/velodyne_points/data"
     got = f"{len(drives)} drives without images and sweeps"
     return frames.lazy("KITTI-360 frames", root, partial(_read, options), expected=expected, got=got)

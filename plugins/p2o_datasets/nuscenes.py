@@ -115,7 +115,10 @@ def _files(tables: Path, channels: Sequence[str], options: NuscenesOptions) -> l
     records_of_scenes = by_token(tables, "scene").items()
     scenes = {token: text_of(record, "name", tables / "scene.json") for token, record in records_of_scenes}
     wanted = frozenset(chosen("scene", options.scenes, scenes.values(), where=tables))
-    channel_of = _channel_of(tables)
+    where, path = tables / "sensor.json", tables / "calibrated_sensor.json"
+    sensors, calibrated = by_token(tables, "sensor"), by_token(tables, "calibrated_sensor").items()
+    of = {token: named(sensors, text_of(record, "sensor_token", path), where) for token, record in calibrated}
+    channel_of = {token: text_of(sensor, "channel", where) for token, sensor in of.items()}
     where, samples = tables / "sample.json", by_token(tables, "sample").items()
     scene_of = {token: named(scenes, text_of(record, "scene_token", where), where) for token, record in samples}
     path = tables / "sample_data.json"
@@ -137,14 +140,6 @@ def _files(tables: Path, channels: Sequence[str], options: NuscenesOptions) -> l
         ego_pose = text_of(record, "ego_pose_token", path)
         files.append(_File(scene, channel, sample, time_us, is_key, name, size, sensor, ego_pose))
     return files
-
-
-def _channel_of(tables: Path) -> dict[str, str]:
-    """Return the channel of each calibrated sensor by its token."""
-    sensors, calibrated = by_token(tables, "sensor"), by_token(tables, "calibrated_sensor")
-    path, where = tables / "calibrated_sensor.json", tables / "sensor.json"
-    of = {token: named(sensors, text_of(record, "sensor_token", path), where) for token, record in calibrated.items()}
-    return {token: text_of(sensor, "channel", where) for token, sensor in of.items()}
 
 
 def _pairs(files: Sequence[_File], options: NuscenesOptions) -> list[tuple[_File, _File]]:

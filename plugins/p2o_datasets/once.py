@@ -51,29 +51,6 @@ class _Sequence:
     calibration: Mapping[str, Any]
     frames: Sequence[Mapping[str, Any]]
 
-    @property
-    def name(self) -> str:
-        return self.path.stem
-
-
-@dataclass(frozen=True, eq=False)
-class _Shot:
-    """An image of a sequence and its sweep; `number` is the index of the frame, `id` its time in milliseconds."""
-
-    sequence: _Sequence
-    camera: str
-    number: int
-    id: str
-
-    @property
-    def name(self) -> str:
-        return f"{self.sequence.name}/{self.camera}/{self.id}"
-
-    @property
-    def files(self) -> tuple[str, str]:
-        """Image and sweep, relative to the folder of the sequence."""
-        return f"{self.camera}/{self.id}.jpg", f"{_LIDAR}/{self.id}.bin"
-
 
 def build(options: OnceOptions) -> Dataset:
     """Return the frames of the selected sequences and cameras; names are "sequence/camera/frame".
@@ -89,9 +66,11 @@ def build(options: OnceOptions) -> Dataset:
         sequence = _sequence(folder)
         for camera in cameras:
             for number, record in enumerate(sequence.frames):
-                shot = _Shot(sequence, camera, number, _id(record, sequence.path))
-                missing = (f"{folder / file} is missing" for file in shot.files if not os.path.isfile(folder / file))
-                frames.add(shot.name, shot, next(missing, ""))
+                frame_id = _id(record, sequence.path)
+                files = (f"{camera}/{frame_id}.jpg", f"{_LIDAR}/{frame_id}.bin")
+                missing = (f"{folder / file} is missing" for file in files if not os.path.isfile(folder / file))
+                name = f"{folder.name}/{camera}/{frame_id}"
+                frames.add(name, (name, sequence, camera, number, files), next(missing, ""))
     expected = f"images of {', '.join(cameras)} and sweeps in {_LIDAR}"
     return frames.lazy("ONCE frames", root, partial(_read, options), expected=expected, got="sequences without frames")
 
@@ -120,28 +99,27 @@ def _id(record: Mapping[str, Any], path: Path) -> str:
     return text
 
 
-def _read(options: OnceOptions, shot: _Shot) -> Frame:
-    sequence = shot.sequence
-    folder = sequence.path.parent
-    image_path, sweep_path = (file_inside(folder.resolve(), folder, file, sequence.path) for file in shot.files)
+def _read(options: OnceOptions, entry: tuple[str, _Sequence, str, int, tuple[str, str]]) -> Frame:
+    name, sequence, camera, number, files = entry
     path, calibration = sequence.path, sequence.calibration
-    if shot.camera not in calibration:
-        raise UnknownNameError("camera", shot.camera, map(str, calibration), where=path)
-    entry = calibration[shot.camera]
-    if not isinstance(entry, Mapping):
-        raise InputError(f"calib.{shot.camera} is not an object", where=path, expected="cam_to_velo, cam_intrinsic")
-    lidar_from_camera, _ = read_pose(f"calib.{shot.camera}.cam_to_velo", entry.get("cam_to_velo"), path)
-    image, warnings = lazy_dataset.read_image(image_path, partial(_camera, options, shot, entry))
+    image_path, sweep_path = (file_inside(path.parent.resolve(), path.parent, file, path) for file in files)
+    if camera not in calibration:
+        raise UnknownNameError("camera", camera, map(str, calibration), where=path)
+    values = calibration[camera]
+    if not isinstance(values, Mapping):
+        raise InputError(f"calib.{camera} is not an object", where=path, expected="cam_to_velo, cam_intrinsic")
+    lidar_from_camera, _ = read_pose(f"calib.{camera}.cam_to_velo", values.get("cam_to_velo"), path)
+    image, warnings = lazy_dataset.read_image(image_path, partial(_camera, options, camera, values, path))
     cloud, cloud_warnings = read_cloud(sweep_path, columns=KITTI_COLUMNS)
-    first = _id(sequence.frames[0], path)
-    pose = _pose(sequence.frames[shot.number], shot.id, path)
-    time_s, extrinsic = (int(shot.id) - int(first)) / _PER_SECOND, se3.inverse(lidar_from_camera)
-    return rig_frame(shot.name, time_s, image, cloud, extrinsic, pose, *warnings, *cloud_warnings)
+    first, frame_id = (_id(sequence.frames[index], path) for index in (0, number))
+    pose = _pose(sequence.frames[number], frame_id, path)
+    time_s, extrinsic = (int(frame_id) - int(first)) / _PER_SECOND, se3.inverse(lidar_from_camera)
+    return rig_frame(name, time_s, image, cloud, extrinsic, pose, *warnings, *cloud_warnings)
 
 
-def _camera(options: OnceOptions, shot: _Shot, entry: Mapping[str, Any], width: int, height: int) -> Camera:
+def _camera(options: OnceOptions, name: str, entry: Mapping[str, Any], path: Path, width: int, height: int) -> Camera:
     """Return the camera of an image of width x height px."""
-    path, matrix = shot.sequence.path, numbers(entry.get("cam_intrinsic"), (3, 3))
+    matrix = numbers(entry.get("cam_intrinsic"), (3, 3))
     if matrix is not None:
         check_centre(matrix, width, height)
     camera: dict[str, Any] = {"width": width, "height": height, "K": entry.get("cam_intrinsic")}
@@ -150,7 +128,7 @@ def _camera(options: OnceOptions, shot: _Shot, entry: Mapping[str, Any], width: 
         if d is None:
             expected = "4, 5, 8, 12 or 14 numbers of OpenCV"
             got = str(entry.get("distortion"))[:60]
-            raise InputError(f"calib.{shot.camera}.distortion is invalid", where=path, expected=expected, got=got)
+            raise InputError(f"calib.{name}.distortion is invalid", where=path, expected=expected, got=got)
         model = "plumb_bob" if len(d) <= 5 else "rational_polynomial"
         camera |= {"distortion_model": model, "D": d.tolist()}
     return read_camera(camera, path)

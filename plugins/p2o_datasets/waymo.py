@@ -63,12 +63,8 @@ class _Pair:
     sweep_row: int
 
     @property
-    def camera_name(self) -> str:
-        return CAMERAS[self.camera - 1]
-
-    @property
     def name(self) -> str:
-        return f"{self.segment.name}/{self.camera_name}/{self.frame_us}"
+        return f"{self.segment.name}/{CAMERAS[self.camera - 1]}/{self.frame_us}"
 
 
 def build(options: WaymoOptions) -> Dataset:
@@ -112,7 +108,7 @@ def _segments(root: Path, wanted: Sequence[str]) -> Sequence[Segment]:
 def _read(options: WaymoOptions, pair: _Pair) -> Frame:
     segment = pair.segment
     calibration = segment.where("camera_calibration")
-    row = _of(segment.camera_rows, pair.camera, pair.camera_name, calibration)
+    row = _of(segment.camera_rows, pair.camera, CAMERAS[pair.camera - 1], calibration)
     fu, fv, cu, cv, *d = (finite_number(row[f"intrinsic.{name}"], name, calibration) for name in LENS)
     # Pixel coordinates start at the edge of the first pixel, in p2o at its centre.
     matrix = [[fu, 0.0, cu - 0.5], [0.0, fv, cv - 0.5], [0.0, 0.0, 1.0]]
