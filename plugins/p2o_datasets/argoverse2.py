@@ -115,10 +115,6 @@ class _Pair:
         return f"{self.log.folder.name}/{self.camera}/{self.image_ns}"
 
     @property
-    def image(self) -> Path:
-        return self.log.folder / "sensors" / "cameras" / self.camera / f"{self.image_ns}.jpg"
-
-    @property
     def sweep(self) -> Path:
         return self.log.folder / "sensors" / "lidar" / f"{self.sweep_ns}.feather"
 
@@ -135,7 +131,7 @@ def build(options: Argoverse2Options) -> Dataset:
     pairs = [pair for log in logs for camera in cameras for pair in _pairs(_Log(log), camera, options)]
     expected = f"images in sensors/cameras/{cameras[0]} and sweeps of their time in sensors/lidar"
     frames, got = Listed({pair.name: pair for pair in pairs}), f"none in {len(logs)} logs"
-    return frames.lazy("Argoverse 2", root, partial(_read, options), expected=expected, got=got)
+    return frames.lazy("Argoverse 2 frames", root, partial(_read, options), expected=expected, got=got)
 
 
 def _is_log(folder: Path) -> bool:
@@ -165,11 +161,10 @@ def _stamps(folder: Path, suffix: str) -> Int:
 def _read(options: Argoverse2Options, pair: _Pair) -> Frame:
     log = pair.log
     if pair.camera not in log.cameras:
-        fault = "a camera has no intrinsics"
-        got = ", ".join(log.cameras)[:200]
-        raise InputError(fault, where=log.folder / "calibration" / "intrinsics.feather", expected=pair.camera, got=got)
+        where, got = log.folder / "calibration" / "intrinsics.feather", ", ".join(log.cameras)[:200]
+        raise InputError("a camera has no intrinsics", where=where, expected=pair.camera, got=got)
     camera = log.cameras[pair.camera]
-    image, warnings = read_image(pair.image, camera)
+    image, warnings = read_image(log.folder / "sensors" / "cameras" / pair.camera / f"{pair.image_ns}.jpg", camera)
     unit = LIDARS[0] if options.lidar == "both" else options.lidar
     ego_from_lidar = log.sensor(unit)
     cloud, cloud_warnings = _sweep(options, pair, se3.inverse(ego_from_lidar))
@@ -194,8 +189,8 @@ def _sweep(options: Argoverse2Options, pair: _Pair, lidar_from_ego: Float) -> tu
     for name, most in (("laser_number", 2 * _BEAMS - 1), ("offset_ns", 2 * _SWEEP_NS)):
         least, largest = (int(end(table[name], initial=0)) for end in (np.min, np.max))
         if least < 0 or largest > most:
-            got = f"{least} to {largest}"
-            raise InputError(f"{name} is out of range", where=pair.sweep, expected=f"0 to {most}", got=got)
+            fault, got = f"{name} is out of range", f"{least} to {largest}"
+            raise InputError(fault, where=pair.sweep, expected=f"0 to {most}", got=got)
     fields: dict[str, Any] = {key: table[key] for key in ("x", "y", "z", "intensity")}
     fields |= {"ring": table["laser_number"], "time_s": table["offset_ns"].astype(np.float64) / _SECOND}
     warnings: tuple[str, ...] = ()

@@ -11,23 +11,13 @@ from p2o import Cloud, InputError
 from p2o.reading import naming, read_bytes
 from p2o.reading import read_npz as read_archive
 
+from p2o_datasets import point_fields
 from p2o_datasets.bin_file import FAR_M, OPTION, check_columns, read_bin, read_rows, read_txt
 from p2o_datasets.las_file import read_las
 from p2o_datasets.number_text import MAX_POINTS
 from p2o_datasets.pcd_file import read_pcd
 from p2o_datasets.ply_file import read_ply
-from p2o_datasets.point_fields import (
-    KNOWN_NAMES,
-    PointClock,
-    candidates,
-    no_rings,
-    not_finite,
-    only_rings,
-    plain_names,
-    time_unit,
-    unused_fields,
-    usable_points,
-)
+from p2o_datasets.point_fields import PointClock
 
 _MAX_BYTES = 256 << 20
 _SCALE_HINT = "scale the points to metres (cloud_scale in frame.yaml: 0.001 for millimetres, 0.01 for centimetres)"
@@ -54,7 +44,7 @@ def read_fields(path: Path, columns: Sequence[str] | None = None) -> Mapping[str
     data = read_bytes(path, "point cloud", _MAX_BYTES)
     if suffix in _ROWS:
         if columns is not None:
-            check_columns(columns, KNOWN_NAMES, path)
+            check_columns(columns, point_fields.KNOWN_NAMES, path)
         return _ROWS[suffix](data, path, columns)
     if columns is not None:
         raise InputError(f"{OPTION} given for a file with named columns", where=path, expected=" or ".join(_ROWS))
@@ -107,7 +97,7 @@ def read_points(fields: Mapping[str, Any], path: Path, clock: PointClock, scale:
 
     Raises InputError for missing, wrong or too many points, and as `PointClock.after_image`.
     """
-    columns = {name: np.asarray(value) for name, value in plain_names(fields).items()}
+    columns = {name: np.asarray(value) for name, value in point_fields.plain_names(fields).items()}
     missing = [axis for axis in "xyz" if axis not in columns]
     if missing:
         raise InputError("the points have no coordinates", where=path, expected="fields x y z", got=" ".join(fields))
@@ -124,34 +114,34 @@ def read_points(fields: Mapping[str, Any], path: Path, clock: PointClock, scale:
         fault = "this is not a point cloud in metres"
         expected, got = f"coordinates below {FAR_M:g} m", f"{far} of {count} points farther away"
         raise InputError(fault, where=path, expected=expected, got=got, hint=_SCALE_HINT)
-    usable = usable_points(xyz)
+    usable = point_fields.usable_points(xyz)
     warnings: list[str] = []
     per_point: dict[str, Any] = {}
     used: list[str] = []
-    for target, names in candidates(list(columns)).items():
+    for target, names in point_fields.candidates(list(columns)).items():
         for name in names:
             value: Any = columns[name]
             if value.shape != (count,):
                 fault = f"field {name} has another length than the points"
                 raise InputError(fault, where=path, expected=f"({count},)", got=value.shape)
-            wrong = not_finite(value[usable])
+            wrong = point_fields.not_finite(value[usable])
             if target == "time" and wrong is None:
                 with naming(path):
-                    value, wrong = clock.after_image(value, usable, time_unit(name) or "auto")
+                    value, wrong = clock.after_image(value, usable, point_fields.time_unit(name) or "auto")
                 if value is not None and wrong is not None:
                     warnings.append(f"{path.name}: {wrong}")
                     wrong = None
             elif target == "ring" and wrong is None:
-                wrong = no_rings(name, value[usable])
+                wrong = point_fields.no_rings(name, value[usable])
             if wrong is None:
                 used.append(name)
                 if value is not None:
                     per_point["time_s" if target == "time" else target] = value
                 break
-            if target != "ring" or only_rings(name):
+            if target != "ring" or point_fields.only_rings(name):
                 used.append(name)
                 warnings.append(f"{path.name}: field {name} ignored: {wrong}")
     with naming(path):
         cloud, dropped = Cloud.from_raw(xyz, **per_point)
-    unused = unused_fields(columns, used)
-    return ReadPoints(cloud, (*warnings, *(f"{path.name}: {remark}" for remark in dropped)), unused)
+    warnings += [f"{path.name}: {remark}" for remark in dropped]
+    return ReadPoints(cloud, tuple(warnings), point_fields.unused_fields(columns, used))

@@ -10,28 +10,14 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import p2o
-from p2o import (
-    Box,
-    Checkerboard,
-    Dataset,
-    Float,
-    Frame,
-    HoleBoard,
-    Image,
-    InputError,
-    Options,
-    Sphere,
-    Target,
-    field,
-    reading,
-)
-from p2o.reading import LazyFrames, layout, listing, naming, parse_yaml, read_extrinsic, read_rgb, read_text, validated
+from p2o import Dataset, Float, Frame, Image, InputError, Options, Target, field, reading
+from p2o.reading import layout, listing, naming, parse_yaml, read_extrinsic, read_text, validated
 from p2o_formats.camera_entry import CAMERA_FORMS, read_camera_entry
 from p2o_formats.plain_text import states_quaternion
 from pydantic import Field
 
 from p2o_datasets.cloud_file import NAMED_SUFFIXES, read_fields, read_points
-from p2o_datasets.lazy_dataset import file_inside
+from p2o_datasets.lazy_dataset import Listed, file_inside, read_image
 from p2o_datasets.point_fields import PointClock, Unit
 
 FRAME_FILE = "frame.yaml"
@@ -58,8 +44,6 @@ _SAME_MOMENT_S = 1.0
 _Rate = Annotated[float, Field(ge=-100, le=100)]
 _Speed = Annotated[float, Field(ge=-1000, le=1000)]
 _Seconds = Annotated[float, Field(ge=-1e12, le=1e12)]
-
-
 _Length = Annotated[float, Field(gt=0, le=100)]
 
 
@@ -76,7 +60,7 @@ class _TargetEntry(Options):
 class CheckerboardEntry(_TargetEntry):
     """Target of kind checkerboard in frame.yaml."""
 
-    made = Checkerboard
+    made = p2o.Checkerboard
     columns: int = field(..., ge=2, le=1000, help="Inner corners in a row.")
     rows: int = field(..., ge=2, le=1000, help="Inner corners in a column.")
     square_m: _Length = field(..., help="Side of a square in metres.")
@@ -87,7 +71,7 @@ class CheckerboardEntry(_TargetEntry):
 class HolesEntry(_TargetEntry):
     """Target of kind holes in frame.yaml: a board with round holes."""
 
-    made = HoleBoard
+    made = p2o.HoleBoard
     width_m: _Length = field(..., help="Width of the board in metres.")
     height_m: _Length = field(..., help="Height of the board in metres.")
     holes: Annotated[tuple[tuple[float, float, float], ...], Field(min_length=1, max_length=1000)] = field(
@@ -98,14 +82,14 @@ class HolesEntry(_TargetEntry):
 class SphereEntry(_TargetEntry):
     """Target of kind sphere in frame.yaml."""
 
-    made = Sphere
+    made = p2o.Sphere
     radius_m: _Length = field(..., help="Radius of the sphere in metres.")
 
 
 class BoxEntry(_TargetEntry):
     """Target of kind box in frame.yaml."""
 
-    made = Box
+    made = p2o.Box
     width_m: _Length = field(..., help="Width of the box in metres.")
     height_m: _Length = field(..., help="Height of the box in metres.")
     depth_m: _Length = field(..., help="Depth of the box in metres.")
@@ -156,22 +140,17 @@ def build(options: FolderOptions) -> Dataset:
     """
     root = reading.existing_folder(options.root, "frames").resolve()
     inside = listing(root, "frames")
-    entries = {root.name: root} if root / FRAME_FILE in inside else {}
-    skipped: dict[str, str] = {}
-    for folder in [] if entries else inside:
+    frames = Listed({root.name: root} if root / FRAME_FILE in inside else {})
+    for folder in [] if frames.entries else inside:
         if folder.name.startswith(".") or not folder.is_dir():
             continue
         try:
-            if folder / FRAME_FILE in listing(folder, "a frame"):
-                entries[folder.name] = folder
-            else:
-                skipped[folder.name] = f"{folder / FRAME_FILE} is missing"
+            reason = "" if folder / FRAME_FILE in listing(folder, "a frame") else f"{folder / FRAME_FILE} is missing"
         except InputError as problem:
-            skipped[folder.name] = str(problem)
-    if not entries:
-        got = next(iter(skipped.values()), None)
-        raise InputError("no frames", where=root, expected=f"{FRAME_FILE} in it or in its sub-folders", got=got)
-    return LazyFrames(entries, partial(_read, root, _falling_times(entries.values())), skipped)
+            reason = str(problem)
+        frames.add(folder.name, folder, reason)
+    read = partial(_read, root, _falling_times(frames.entries.values()))
+    return frames.lazy("frames", root, read, expected=f"{FRAME_FILE} in it or in its sub-folders")
 
 
 def read_frame_file(path: Path) -> FrameEntry:
@@ -224,13 +203,7 @@ def _read(root: Path, faults: Mapping[Path, InputError], folder: Path) -> Frame:
         fault = "a rectified pair needs its right image and its baseline"
         raise InputError(fault, where=path, expected="right, baseline_m")
     values = {name: getattr(entry, name) for name in (*_EXTRINSICS, *_WORLDS)}
-    read = {
-        name: (*reading.read_pose(name, value, path), False)
-        if name in _WORLDS
-        else _extrinsic(name, value, path, resolve)
-        for name, value in values.items()
-        if value is not None
-    }
+    read = {name: _posed(name, value, path, resolve) for name, value in values.items() if value is not None}
     poses = {name: pose for name, (pose, *_) in read.items()}
     with naming(path):
         targets = tuple(_target(f"targets.{number}", values, path) for number, values in enumerate(entry.targets))
@@ -238,9 +211,8 @@ def _read(root: Path, faults: Mapping[Path, InputError], folder: Path) -> Frame:
     warnings += camera_remarks + tuple(warning for _, remarks, _ in read.values() for warning in remarks)
     cloud_path = _file(root, folder, entry.cloud, "cloud", NAMED_SUFFIXES)
     clock = PointClock.of_image(entry.image_time_s, entry.point_times)
-    clock = replace(
-        clock, required=clock.required or entry.twist is not None, setting=f"in {FRAME_FILE}, point_times: "
-    )
+    required = clock.required or entry.twist is not None
+    clock = replace(clock, required=required, setting=f"in {FRAME_FILE}, point_times: ")
     fields = read_fields(cloud_path, entry.cloud_columns)
     cloud, cloud_warnings, unused = read_points(fields, cloud_path, clock, entry.cloud_scale)
     warnings += cloud_warnings
@@ -256,12 +228,12 @@ def _read(root: Path, faults: Mapping[Path, InputError], folder: Path) -> Frame:
             raise InputError(fault, where=cloud_path, expected="a time per point", got=got, hint=hint)
         with naming(path):
             cloud = cloud.untwisted(twist)
-    if twist is None and entry.image_time_s is None:
+    elif entry.image_time_s is None:
         # Times without a relation to the image's clock carry no information; compensated sweeps may keep theirs.
         cloud = replace(cloud, time_s=None)
     for name in (name for name in _EXTRINSICS if name in poses):
-        given: dict[str, Any] = {"name": name, "where": path, "quaternion": read[name][2]}
-        warnings += reading.check_direction(cloud, camera, poses[name], **given)
+        pose, _, quaternion = read[name]
+        warnings += reading.check_direction(cloud, camera, pose, name=name, where=path, quaternion=quaternion)
     parts: dict[str, Any] = {"camera_from_lidar": poses.pop("truth", None), **poses, "twist": twist, "targets": targets}
     parts["unused_fields"] = unused
     parts |= entry.model_dump(include={"sequence", "time_s", "camera_name"})
@@ -276,13 +248,13 @@ def _camera(value: Any, path: Path, resolve: Callable[[str], Path]) -> tuple[p2o
     return read_camera_entry(value, path)
 
 
-def _extrinsic(
-    name: str, value: Any, path: Path, resolve: Callable[[str], Path]
-) -> tuple[Float, tuple[str, ...], bool]:
-    """Return camera_from_lidar (4, 4) of a value of frame.yaml, remarks, and whether it is given as a quaternion.
+def _posed(name: str, value: Any, path: Path, resolve: Callable[[str], Path]) -> tuple[Float, tuple[str, ...], bool]:
+    """Return a pose (4, 4) of frame.yaml, remarks, and whether it is a camera_from_lidar given as a quaternion.
 
-    A text is words or a calibration file.
+    The text of a camera_from_lidar is words or a calibration file.
     """
+    if name in _WORLDS:
+        return (*reading.read_pose(name, value, path), False)
     if isinstance(value, str) and reading.names_file(value):
         calibration = reading.read_calibration(value, path, resolve)
         return calibration.extrinsic(value), calibration.remarks, calibration.quaternion
@@ -295,8 +267,7 @@ def _target(name: str, values: Mapping[str, Any], path: Path) -> Target:
     """Return a target of frame.yaml; raises InputError for an unknown kind, wrong keys, and contradictory sizes."""
     if "kind" not in values:
         raise InputError(f"{name}.kind is missing", where=path, expected=" or ".join(_TARGETS))
-    kind = str(values["kind"])
-    if kind not in _TARGETS:
+    if (kind := str(values["kind"])) not in _TARGETS:
         raise p2o.UnknownNameError("kind of target", kind, _TARGETS, where=path)
     sizes = {key: value for key, value in values.items() if key != "kind"}
     return validated(_TARGETS[kind], sizes, name, where=path, noun=f"key of {name}").target()
@@ -305,25 +276,9 @@ def _target(name: str, values: Mapping[str, Any], path: Path) -> Target:
 def _image(root: Path, folder: Path, entry: FrameEntry, camera: p2o.Camera) -> tuple[Image, tuple[str, ...]]:
     others = {name for name in (entry.right, entry.depth) if name is not None}
     path = _file(root, folder, entry.image, "image", _IMAGE_SUFFIXES, others)
-    size = (camera.width, camera.height)
-    rgb, warnings = read_rgb(path, size)
-    with naming(path):
-        image = Image(rgb, camera)
-    right = depth_m = None
-    if entry.right is not None:
-        right_path = _inside(root, folder, entry.right)
-        right, more = read_rgb(right_path, size)
-        warnings += more
-        with naming(right_path):
-            Image(rgb, camera, right=right, baseline_m=entry.baseline_m)
-    if entry.depth is not None:
-        depth_path = _inside(root, folder, entry.depth)
-        depth_m = _read_depth(depth_path, size)
-        with naming(depth_path):
-            Image(rgb, camera, depth_m=depth_m)
-    if right is None and depth_m is None:
-        return image, warnings
-    return Image(rgb, camera, right=right, baseline_m=entry.baseline_m, depth_m=depth_m), warnings
+    right = None if entry.right is None else (_inside(root, folder, entry.right), entry.baseline_m)
+    depth = None if entry.depth is None else (_inside(root, folder, entry.depth), _read_depth)
+    return read_image(path, camera, right=right, depth=depth)
 
 
 def _read_depth(path: Path, size: tuple[int, int]) -> Float:

@@ -57,9 +57,6 @@ class _Drive:
     root: Path
     name: str
 
-    def images(self, camera: str) -> Path:
-        return self.root / "data_2d_raw" / self.name / camera
-
     @property
     def sweeps(self) -> Path:
         return self.root / "data_3d_raw" / self.name / "velodyne_points"
@@ -95,8 +92,6 @@ class _Drive:
 
     def time_ns(self, frame: int) -> int:
         """Return the time at which a sweep points straight ahead: its stamp, else extrapolated by revolutions."""
-        if frame < len(self.stamps) and not np.isnat(self.stamps[frame]):
-            return int(self.stamps[frame].astype(np.int64))
         known = np.flatnonzero(~np.isnat(self.stamps))
         if not len(known):
             return round(frame * self.turn_s * _SECOND)
@@ -120,16 +115,16 @@ def _pose_lines(path: Path) -> tuple[list[int], Float]:
     numbers: list[int] = []
     poses: list[Float] = []
     for place, line in enumerate(read_text(path, "file of poses").splitlines(), 1):
-        words = line.split()
-        if not words:
+        number, *words = line.split() or [""]
+        if not number:
             continue
-        values = numbers_in(words[1:], (3, 4))
-        if values is None or not is_number(words[0]) or len(words[0]) > 10:
+        values = numbers_in(words, (3, 4))
+        if values is None or not is_number(number) or len(number) > 10:
             fault = f"line {place} of the file of poses is not a pose"
             raise InputError(fault, where=path, expected="a frame's number and 12 numbers", got=line[:60])
-        pose = np.vstack([values, [0, 0, 0, 1]])
-        numbers.append(int(words[0]))
-        poses.append(se3.check_rigid(f"the pose of frame {words[0]}", pose, where=path, tolerance=1e-2))
+        pose = se3.make(values[:, :3], values[:, 3])
+        numbers.append(int(number))
+        poses.append(se3.check_rigid(f"the pose of frame {number}", pose, where=path, tolerance=1e-2))
     return numbers, np.array(poses).reshape(-1, 4, 4)
 
 
@@ -149,11 +144,11 @@ def build(options: Kitti360Options) -> Dataset:
     for drive in drives:
         clouds = sweeps(drive.sweeps / "data")
         for camera in cameras:
-            image_folder, cloud_folder = drive.images(camera) / CAMERAS[camera], drive.sweeps / "data"
-            add_pairs(frames, image_folder, cloud_folder, f"{drive.name}/{camera}/", (drive, camera), clouds=clouds)
+            data = (root / "data_2d_raw" / drive.name / camera / CAMERAS[camera], drive.sweeps / "data")
+            add_pairs(frames, *data, f"{drive.name}/{camera}/", (drive, camera), clouds=clouds)
     expected = f"data_2d_raw/DRIVE/{cameras[0]}/{CAMERAS[cameras[0]]} and data_3d_raw/DRIVE/velodyne_points/data"
     got = f"{len(drives)} drives without images and sweeps"
-    return frames.lazy("KITTI-360", root, partial(_read, options), expected=expected, got=got)
+    return frames.lazy("KITTI-360 frames", root, partial(_read, options), expected=expected, got=got)
 
 
 def _read(options: Kitti360Options, entry: tuple[_Drive, str, Path, Path]) -> Frame:

@@ -5,16 +5,17 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from p2o import Float, Image, InputError
-from p2o.reading import RadialError, listing, naming, read_rgb, read_text, read_uint16
+from p2o.reading import RadialError, listing, read_text, read_uint16
 from p2o_formats.kitti_calibration import MAX_BASELINE_M, baseline_m, rectified_camera, refuse_cut_off
 
-from p2o_datasets.lazy_dataset import Listed
+from p2o_datasets.lazy_dataset import Listed, read_image
 
 _IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
 
@@ -126,42 +127,29 @@ def read_rectified(
     right: tuple[Float, Path | None] | None = None,
     disparity_path: Path | None = None,
 ) -> tuple[Image, tuple[str, ...]]:
-    """Return the image of a rectified camera with projection (3, 4), and warnings.
+    """Return the image of a rectified camera with projection (3, 4), and warnings; raises as `read_image`.
 
     `size` is (width, height) in pixels if the calibration states it. `right` is the projection (3, 4) of the right
     camera and the path of its image. The right image and the disparity (uint16 / 256 px, 0 for unknown; converted to
     depth_m with NaN), which needs `right`, are read if their paths are given.
-
-    Raises InputError, with the file, for images that are missing, damaged, or do not fit the camera.
     """
-    rgb, warnings = read_rgb(path, size)
-    size = size or (rgb.shape[1], rgb.shape[0])
-    right_projection, right_path = right or (None, None)
-    right_rgb = depth_m = baseline = None
-    if right_projection is not None and (right_path is not None or disparity_path is not None):
-        baseline = baseline_m(projection, right_projection)
-        if not 0 < baseline <= MAX_BASELINE_M:
-            fault = "the right camera is not to the right of the left one"
-            expected = f"a baseline of up to {MAX_BASELINE_M:g} m from the two projections"
-            raise InputError(fault, where=path, expected=expected, got=f"{baseline:g} m")
-    if right_path is not None:
-        right_rgb, more = read_rgb(right_path, size)
-        warnings += more
-    if disparity_path is not None and baseline is not None:
-        depth_m = projection[0, 0] * baseline / read_uint16(disparity_path, "disparity", size)
-    with naming(path):
-        camera = rectified_camera(projection, *size)
-        image = Image(rgb, camera)
-    for other_path, values in (
-        (right_path, {"right": right_rgb, "baseline_m": baseline}),
-        (disparity_path, {"depth_m": depth_m}),
-    ):
-        if other_path is not None:
-            with naming(other_path):
-                Image(rgb, camera, **values)
-    if right_path is not None or disparity_path is not None:
-        image = Image(rgb, camera, right_rgb, baseline if right_rgb is not None else None, depth_m)
-    return image, warnings
+    right_projection, right_path = right or (projection, None)
+    baseline = baseline_m(projection, right_projection)
+    if (right_path or disparity_path) and right is not None and not 0 < baseline <= MAX_BASELINE_M:
+        fault = "the right camera is not to the right of the left one"
+        expected = f"a baseline of up to {MAX_BASELINE_M:g} m from the two projections"
+        raise InputError(fault, where=path, expected=expected, got=f"{baseline:g} m")
+
+    def depth_m(path: Path, size: tuple[int, int]) -> Float:
+        return np.asarray(projection[0, 0] * baseline / read_uint16(path, "disparity", size))
+
+    return read_image(
+        path,
+        partial(rectified_camera, projection),
+        size,
+        right=None if right_path is None else (right_path, baseline),
+        depth=None if disparity_path is None or right is None else (disparity_path, depth_m),
+    )
 
 
 def without_radial_error(image: Image, error: RadialError) -> Image:

@@ -31,7 +31,7 @@ def build(options: KittiObjectOptions) -> Dataset:
     frames = Listed()
     add_pairs(frames, folder / "image_2", folder / "velodyne", numbered=False)
     expected = "frames with image_2/ID.png and velodyne/ID.bin"
-    return frames.lazy("KITTI object", folder, partial(_read, folder, options), expected=expected)
+    return frames.lazy("KITTI object frames", folder, partial(_read, folder, options), expected=expected)
 
 
 def _read(folder: Path, options: KittiObjectOptions, entry: tuple[Path, Path]) -> Frame:

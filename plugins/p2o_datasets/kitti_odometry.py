@@ -9,7 +9,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from p2o import Dataset, Float, Frame, InputError, Method, Options, field, se3
 from p2o.reading import existing_folder, layout, numbers, read_text
 from p2o_formats.kitti_calibration import camera_offset, read_calibration, rectified_extrinsic, refuse_cut_off
@@ -39,7 +38,7 @@ def build(options: KittiOdometryOptions) -> Dataset:
     for sequence in sequences:
         add_pairs(frames, sequence / image_folder, sequence / "velodyne", f"{sequence.resolve().name}/")
     expected = f"frames with NN/{image_folder}/ID.png and NN/velodyne/ID.bin"
-    return frames.lazy("KITTI odometry", folder, partial(_read, options), expected=expected)
+    return frames.lazy("KITTI odometry frames", folder, partial(_read, options), expected=expected)
 
 
 def _read(options: KittiOdometryOptions, entry: tuple[Path, Path]) -> Frame:
@@ -54,7 +53,8 @@ def _read(options: KittiOdometryOptions, entry: tuple[Path, Path]) -> Frame:
         right = (calibration.projection(f"P{other}"), image_in(sequence / f"image_{other}", image_path.stem))
     image, warnings = read_rectified(image_path, projection, right=right)
     number = int(image_path.stem)
-    time_s = _time_s(sequence, number)
+    time = _line(sequence / "times.txt", "file of times", number, 1)
+    time_s = None if time is None else float(time[0])
     pose = _camera_pose(sequence, number, camera_offset(projection, pykitti_compat=options.pykitti_compat))
     for path, value in ((sequence / "times.txt", time_s), (_poses_file(sequence), pose)):
         if value is None and path.exists():
@@ -69,24 +69,15 @@ def _read(options: KittiOdometryOptions, entry: tuple[Path, Path]) -> Frame:
     return Frame(name, image, cloud, camera_from_lidar=extrinsic, warnings=warnings, **drive)
 
 
-def _time_s(sequence: Path, frame: int) -> float | None:
-    """Return the time of a frame in seconds, or None if times.txt or its line is missing."""
-    values = _line(sequence / "times.txt", "file of times", frame, 1)
-    return None if values is None else float(values[0])
-
-
 def _camera_pose(sequence: Path, frame: int, offset_m: Float) -> Float | None:
     """Return camera_world_from_camera (4, 4) of a frame, or None if poses/NN.txt or its line is missing."""
     # The poses are those of camera 0, at `offset_m` in the camera; the world is the camera at the first line.
     path = _poses_file(sequence)
-    poses: list[Float] = []
-    for number in (0, frame):
-        values = _line(path, "file of poses", number, 12)
-        if values is None:
-            return None
-        matrix = np.vstack([values.reshape(3, 4), [0, 0, 0, 1]])
-        poses.append(se3.check_rigid(f"line {number + 1}", matrix, where=path))
-    first, pose = poses
+    lines = [(number, _line(path, "file of poses", number, 12)) for number in (0, frame)]
+    rows = [(f"line {number + 1}", values.reshape(3, 4)) for number, values in lines if values is not None]
+    if len(rows) < len(lines):
+        return None
+    first, pose = (se3.check_rigid(name, se3.make(row[:, :3], row[:, 3]), where=path) for name, row in rows)
     camera_from_camera0 = se3.make(translation=offset_m)
     return camera_from_camera0 @ se3.inverse(first) @ pose @ se3.inverse(camera_from_camera0)
 

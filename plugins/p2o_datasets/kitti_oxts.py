@@ -20,9 +20,9 @@ def read_packet(path: Path) -> Float:
 
     Raises InputError if the file is missing, incomplete, or contains implausible positions or velocities.
     """
-    text = read_text(path, "oxts packet")
+    words = read_text(path, "oxts packet").split()
     try:
-        values = np.array(text.split(), dtype=np.float64)
+        values = np.array(words, dtype=np.float64)
     except ValueError as problem:
         raise InputError("the oxts packet does not contain numbers", where=path, expected="30 numbers") from problem
     if values.size != 30 or not np.isfinite(values).all():

@@ -94,7 +94,7 @@ def build(options: KittiRawOptions) -> Dataset:
         kitti_folder.add_pairs(frames, *folders, f"{drive.name}/", (drive,), clouds=clouds, lacking=why)
     expected = f"DATE/DATE_drive_NNNN_sync with {image_folder}/data and velodyne_points/data"
     got = f"{len(drives)} drives" if drives else "no drive"
-    return frames.lazy("KITTI raw", root, partial(_read, options), expected=expected, got=got)
+    return frames.lazy("KITTI raw frames", root, partial(_read, options), expected=expected, got=got)
 
 
 def _read(options: KittiRawOptions, entry: tuple[_Drive, Path, Path]) -> Frame:
@@ -118,10 +118,8 @@ def _read(options: KittiRawOptions, entry: tuple[_Drive, Path, Path]) -> Frame:
     if cloud.time_s is not None:
         cloud = replace(cloud, time_s=cloud.time_s - delay_s)
     cloud, remarks = compensated(cloud, twist, asked=options.deskew, lacking=f"no {missing}")
-    name, warnings = (
-        f"{drive.name}/{image_path.stem}",
-        (*warnings, *mounting.remarks(cam0_from_lidar), *cloud_warnings, *remarks),
-    )
+    warnings = (*warnings, *mounting.remarks(cam0_from_lidar), *cloud_warnings, *remarks)
+    name = f"{drive.name}/{image_path.stem}"
     moment: dict[str, Any] = {"time_s": _time_s(image_path), "lidar_world_from_lidar": pose, "sequence": drive.name}
     return Frame(name, image, cloud, camera_from_lidar=extrinsic, twist=twist, warnings=warnings, **moment)
 
@@ -137,11 +135,9 @@ def _rectified(
         right_path = kitti_folder.image_in(drive.folder / f"image_{other}/data", path.stem) if options.right else None
         right = (cameras.projection(f"P_rect_{other}"), right_path)
     disparity = drive.folder / "disparity/data" / f"{path.stem}.png"
-    has_disparity = options.depth and options.camera == 2 and disparity.exists()
-    size, disparity_path = cameras.size(f"S_rect_{options.camera:02d}"), disparity if has_disparity else None
-    image, warnings = kitti_folder.read_rectified(
-        path, projection, size=size, right=right, disparity_path=disparity_path
-    )
+    depth = disparity if options.depth and options.camera == 2 and disparity.exists() else None
+    size = cameras.size(f"S_rect_{options.camera:02d}")
+    image, warnings = kitti_folder.read_rectified(path, projection, size=size, right=right, disparity_path=depth)
     rectified_from_lidar = cameras.rigid("R_rect_00") @ cam0_from_lidar
     return image, warnings, rectified_extrinsic(projection, rectified_from_lidar, pykitti_compat=options.pykitti_compat)
 
@@ -156,37 +152,41 @@ def _unrectified(
     return image, (*warnings, *remarks), cameras.rigid(f"R_{number}", f"T_{number}") @ cam0_from_lidar
 
 
+def _stamp(path: Path, end: str = "") -> np.datetime64 | None:
+    """Return the time stamp of an image, a packet or a sweep, also that of its "_start" or "_end"; None without one."""
+    return read_stamp(path.parents[1] / f"timestamps{end}.txt", int(path.stem))
+
+
 def _image_delay_s(options: KittiRawOptions, image_path: Path, sweep_path: Path) -> float:
     """Return the time of the image after straight ahead, in seconds."""
     if options.image_delay_s is not None:
         return options.image_delay_s
-    image, sweep = (read_stamp(path.parents[1] / "timestamps.txt", int(path.stem)) for path in (image_path, sweep_path))
+    image, sweep = _stamp(image_path), _stamp(sweep_path)
     same = image is not None and sweep is not None and abs(image - sweep) < np.timedelta64(1, "ms")
     return 0.0 if same else IMAGE_DELAY_S
 
 
 def _turn_s(sweep_path: Path) -> float:
     """Return the duration of the sweep from its start and end stamps, or the nominal duration without stamps."""
-    folder = sweep_path.parents[1]
-    start, end = (read_stamp(folder / f"timestamps_{which}.txt", int(sweep_path.stem)) for which in ("start", "end"))
-    if start is None or end is None:
-        return SWEEP_S
-    seconds = seconds_of(end - start)
+    start, end = (_stamp(sweep_path, which) for which in ("_start", "_end"))
+    seconds = SWEEP_S if start is None or end is None else seconds_of(end - start)
     return seconds if 0.5 * SWEEP_S < seconds < 2 * SWEEP_S else SWEEP_S
 
 
 def _time_s(image_path: Path) -> float | None:
     """Return the time of the image in seconds after the first stamp of its camera in the drive."""
-    path = image_path.parents[1] / "timestamps.txt"
-    stamps, stamp = read_stamps(path), read_stamp(path, int(image_path.stem))
+    stamps, stamp = read_stamps(image_path.parents[1] / "timestamps.txt"), _stamp(image_path)
     return None if stamp is None else seconds_of(stamp - stamps[~np.isnat(stamps)][0])
 
 
 def _oxts(drive: _Drive, image_path: Path, sweep_path: Path, delay_s: float) -> tuple[Float | None, Float | None, str]:
     """Return velocity (6,) of the LiDAR, its pose (4, 4) in the frame of the first packet, and the missing input."""
-    folder = drive.folder / "oxts/data"
-    number = _oxts_number(drive, image_path)
-    if number is None or not (path := folder / f"{number:010d}.txt").exists():
+    folder, number = drive.folder / "oxts/data", int(image_path.stem)
+    if not drive.synchronised:
+        # The packet that is nearest in time.
+        stamp, stamps = _stamp(image_path), read_stamps(drive.folder / "oxts/timestamps.txt")
+        number = -1 if stamp is None or (near := _nearest(stamps, stamp)) is None else near
+    if not (path := folder / f"{number:010d}.txt").exists():
         return None, None, "oxts data"
     mounting = drive.folder.parent / "calib_imu_to_velo.txt"
     if not mounting.exists():
@@ -194,39 +194,29 @@ def _oxts(drive: _Drive, image_path: Path, sweep_path: Path, delay_s: float) -> 
     lidar_from_imu = read_calibration(mounting).rigid("R", "T")
     packet, first = (read_packet(p) for p in (path, min(p for p in folder.glob("*.txt") if is_number(p.stem))))
     twist = twist_of(packet, lidar_from_imu)
-    later_s = _after_packet_s(drive, number, image_path, sweep_path, delay_s)
+    later_s = _after_packet_s(path, image_path, sweep_path, delay_s)
     if later_s is None or not (has_fix(packet) and has_fix(first)):
         return twist, None, ""
     return twist, lidar_pose(packet, first, lidar_from_imu) @ se3.exp(later_s * twist), ""
 
 
-def _oxts_number(drive: _Drive, image_path: Path) -> int | None:
-    """Return the oxts packet of an image: the same number, or the nearest in time in unsynchronised drives."""
-    number = int(image_path.stem)
-    if drive.synchronised:
-        return number
-    stamp = read_stamp(image_path.parents[1] / "timestamps.txt", number)
-    stamps = read_stamps(drive.folder / "oxts/timestamps.txt")
-    return None if stamp is None else _nearest(stamps, stamp)
-
-
-def _after_packet_s(drive: _Drive, number: int, image_path: Path, sweep_path: Path, delay_s: float) -> float | None:
+def _after_packet_s(packet_path: Path, image_path: Path, sweep_path: Path, delay_s: float) -> float | None:
     """Return the time of the image after an oxts packet: 0 without stamps, None for different moments."""
     # Packets deviate by up to 10 ms; the image is taken `delay_s` after the stamp of its sweep.
-    packet = read_stamp(drive.folder / "oxts/timestamps.txt", number)
-    sweep = read_stamp(sweep_path.parents[1] / "timestamps.txt", int(sweep_path.stem))
+    packet, sweep = _stamp(packet_path), _stamp(sweep_path)
     if packet is not None and sweep is not None:
         later_s = seconds_of(sweep - packet) + delay_s
     else:
-        image = read_stamp(image_path.parents[1] / "timestamps.txt", int(image_path.stem))
+        image = _stamp(image_path)
         later_s = 0.0 if packet is None or image is None else seconds_of(image - packet)
     return later_s if abs(later_s) < SWEEP_S else None
 
 
 def _nearest_in_time(drive: Path, image_folder: str) -> Mapping[str, Path]:
     """Return the sweep of each image id of an unsynchronised drive by the nearest time stamp."""
-    image_stamps = read_stamps(drive / image_folder / "timestamps.txt")
-    cloud_stamps = read_stamps(drive / "velodyne_points/timestamps.txt")
+    image_stamps, cloud_stamps = (
+        read_stamps(drive / of / "timestamps.txt") for of in (image_folder, "velodyne_points")
+    )
     clouds = kitti_folder.sweeps(drive / "velodyne_points/data")
     pairs: dict[str, Path] = {}
     for name in images_in(drive / image_folder / "data"):

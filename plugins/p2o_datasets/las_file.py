@@ -34,7 +34,7 @@ def read_las(data: bytes, path: Path) -> Mapping[str, Any]:
     """
     _check_header(data, path)
     laspy = optional_package("laspy", "las", ".las and .laz", path)
-    plain = _unpacked(data, path) if _compressed(data) else data
+    plain = _unpacked(data, path) if data[104] & _COMPRESSED else data
     try:
         las = laspy.read(io.BytesIO(plain))
         fields = {axis: np.asarray(getattr(las, axis), dtype=np.float64) for axis in "xyz"}
@@ -85,10 +85,6 @@ def _damaged(path: Path, got: str) -> InputError:
     return InputError("the point cloud cannot be read as LAS", where=path, got=got[:200])
 
 
-def _compressed(data: bytes) -> bool:
-    return bool(data[104] & _COMPRESSED)
-
-
 def _check_header(data: bytes, path: Path) -> None:
     """Raise InputError for a header that contradicts the file size, before memory is allocated."""
     if not data.startswith(_MAGIC) or len(data) < _SHORTEST_HEADER:
@@ -104,9 +100,8 @@ def _check_header(data: bytes, path: Path) -> None:
         got = f"points from {start}, {records} records"
         raise InputError("the header of the LAS file contradicts its size", where=path, expected=expected, got=got)
     if points > MAX_POINTS or points * size > _MAX_BYTES:
-        fault = "the point cloud has too many points"
-        got = f"{points} of {size} bytes"
+        fault, got = "the point cloud has too many points", f"{points} of {size} bytes"
         raise InputError(fault, where=path, expected=f"at most {MAX_POINTS}, and {_MAX_BYTES} bytes", got=got)
-    if not _compressed(data) and points * size > body:
+    if not data[104] & _COMPRESSED and points * size > body:
         expected = f"{points * size} bytes of points"
         raise InputError("the point cloud is truncated", where=path, expected=expected, got=body)

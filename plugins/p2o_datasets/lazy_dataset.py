@@ -6,7 +6,7 @@ import dataclasses
 import importlib
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -33,13 +33,13 @@ class Listed:
     def lazy(
         self, title: str, root: Path, read: Callable[[Any], Frame], *, expected: str, got: str | None = None
     ) -> LazyFrames:
-        """Return the frames, read from their entries on demand.
+        """Return the frames ("KITTI raw frames"), read from their entries on demand.
 
         Raises InputError without entries, with the first reason of `skipped`, else `got`.
         """
         if not self.entries:
             got = next(iter(self.skipped.values()), got)
-            raise InputError(f"no {title} frames", where=root, expected=expected, got=got)
+            raise InputError(f"no {title}", where=root, expected=expected, got=got)
         return LazyFrames(self.entries, read, self.skipped)
 
 
@@ -48,18 +48,35 @@ def cameras_field(default: str, cameras: Iterable[str]) -> Any:
     return field((default,), min_length=1, help=f"Cameras, separated by commas, or all: {', '.join(cameras)}.")
 
 
-def read_image(path: Path, camera: Camera | Callable[[int, int], Camera]) -> tuple[Image, tuple[str, ...]]:
+def read_image(
+    path: Path,
+    camera: Camera | Callable[[int, int], Camera],
+    size: tuple[int, int] | None = None,
+    *,
+    right: tuple[Path, float | None] | None = None,
+    depth: tuple[Path, Callable[[Path, tuple[int, int]], Float]] | None = None,
+) -> tuple[Image, tuple[str, ...]]:
     """Return the image of a camera, and warnings.
 
-    The camera may be a function of width and height in px. Raises InputError, with the file, if the image does not fit
-    the camera.
+    The camera may be a function of width and height in px; `size` is (width, height) if a calibration states it.
+    `right` is the file of the right image with the baseline in metres, `depth` a file with the function that reads it.
+
+    Raises InputError, with the file, for images that are missing, damaged, or do not fit the camera.
     """
-    if isinstance(camera, Camera):
-        rgb, warnings = read_rgb(path, (camera.width, camera.height))
-    else:
-        rgb, warnings = read_rgb(path)
+    rgb, warnings = read_rgb(path, (camera.width, camera.height) if isinstance(camera, Camera) else size)
+    size = (rgb.shape[1], rgb.shape[0])
     with naming(path):
-        return Image(rgb, camera if isinstance(camera, Camera) else camera(rgb.shape[1], rgb.shape[0])), warnings
+        image = Image(rgb, camera if isinstance(camera, Camera) else camera(*size))
+    if right is not None:
+        right_rgb, more = read_rgb(right[0], size)
+        warnings += more
+        with naming(right[0]):
+            image = replace(image, right=right_rgb, baseline_m=right[1])
+    if depth is not None:
+        depth_m = depth[1](depth[0], size)
+        with naming(depth[0]):
+            image = replace(image, depth_m=depth_m)
+    return image, warnings
 
 
 def rig_frame(

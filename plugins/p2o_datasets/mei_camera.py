@@ -61,7 +61,10 @@ def mei_camera(lens: MeiLens, width: int, height: int) -> Camera:
         raise InputError("the mirror parameter of the camera is invalid", expected="xi >= 0", got=lens.xi)
     on_axis = (lens.gamma1 / (1 + lens.xi), lens.gamma2 / (1 + lens.xi), lens.u0, lens.v0)
     first = Camera(_MODEL, width, height, (*on_axis, *(0.0,) * _EXTRA))
-    rays = _rays()
+    # Directions (N, 3) that cover the half space in front of the camera.
+    angles = np.radians(np.linspace(0.1, _MAX_ANGLE_DEG, 120))
+    angle, around = (grid.ravel() for grid in np.meshgrid(angles, np.linspace(-np.pi, np.pi, 48, endpoint=False)))
+    rays = np.stack([np.sin(angle) * np.cos(around), np.sin(angle) * np.sin(around), np.cos(angle)], axis=-1)
     with np.errstate(all="ignore"):
         expected = lens.project(rays)
         used = first.in_image(expected)
@@ -86,11 +89,3 @@ def mei_camera(lens: MeiLens, width: int, height: int) -> Camera:
         limits = f"an error of at most {_MAX_ERROR_PX:g} px within {_MAX_ANGLE_DEG:g} deg of the axis"
         raise InputError(fault, expected=limits, got=got, hint="use a front camera")
     return camera
-
-
-def _rays() -> Float:
-    """Return directions (N, 3) that cover the half space in front of the camera."""
-    angles = np.radians(np.linspace(0.1, _MAX_ANGLE_DEG, 120))
-    angle, around = np.meshgrid(angles, np.linspace(-np.pi, np.pi, 48, endpoint=False))
-    rays = np.stack([np.sin(angle) * np.cos(around), np.sin(angle) * np.sin(around), np.cos(angle)], axis=-1)
-    return rays.reshape(-1, 3)

@@ -80,9 +80,8 @@ def build(options: NuscenesOptions) -> Dataset:
     tables = _tables(root, options.version)
     channels = chosen("camera", options.cameras, CAMERAS)
     files = _files(tables, channels, options)
-    pairs = _pairs(files, options)
     frames = Listed()
-    for image, sweep in pairs:
+    for image, sweep in _pairs(files, options):
         missing = (root / file.file for file in (image, sweep) if not os.path.isfile(root / file.file))
         frames.add(image.name, (image, sweep), next((f"{path} is missing" for path in missing), ""))
     wanted = {file.ego_pose for pair in frames.entries.values() for file in pair}
@@ -93,7 +92,7 @@ def build(options: NuscenesOptions) -> Dataset:
     source = _Source(root, tables, options, by_token(tables, "calibrated_sensor"), poses, first_us)
     expected = f"images of {', '.join(channels)} and sweeps of {_LIDAR}"
     got = f"{len(files)} files in the table, no pair of image and sweep"
-    return frames.lazy("nuScenes", root, partial(_read, source), expected=expected, got=got)
+    return frames.lazy("nuScenes frames", root, partial(_read, source), expected=expected, got=got)
 
 
 def _tables(root: Path, version: str | None) -> Path:
@@ -116,7 +115,10 @@ def _files(tables: Path, channels: Sequence[str], options: NuscenesOptions) -> l
     records_of_scenes = by_token(tables, "scene").items()
     scenes = {token: text_of(record, "name", tables / "scene.json") for token, record in records_of_scenes}
     wanted = frozenset(chosen("scene", options.scenes, scenes.values(), where=tables))
-    channel_of = _channel_of(tables)
+    where, path = tables / "sensor.json", tables / "calibrated_sensor.json"
+    sensors, calibrated = by_token(tables, "sensor"), by_token(tables, "calibrated_sensor").items()
+    of = {token: named(sensors, text_of(record, "sensor_token", path), where) for token, record in calibrated}
+    channel_of = {token: text_of(sensor, "channel", where) for token, sensor in of.items()}
     where, samples = tables / "sample.json", by_token(tables, "sample").items()
     scene_of = {token: named(scenes, text_of(record, "scene_token", where), where) for token, record in samples}
     path = tables / "sample_data.json"
@@ -140,22 +142,12 @@ def _files(tables: Path, channels: Sequence[str], options: NuscenesOptions) -> l
     return files
 
 
-def _channel_of(tables: Path) -> dict[str, str]:
-    """Return the channel of each calibrated sensor by its token."""
-    sensors, calibrated = by_token(tables, "sensor"), by_token(tables, "calibrated_sensor")
-    path, where = tables / "calibrated_sensor.json", tables / "sensor.json"
-    of = {token: named(sensors, text_of(record, "sensor_token", path), where) for token, record in calibrated.items()}
-    return {token: text_of(sensor, "channel", where) for token, sensor in of.items()}
-
-
 def _pairs(files: Sequence[_File], options: NuscenesOptions) -> list[tuple[_File, _File]]:
     """Return images with the sweep of their key frame, else the nearest one, sorted by scene, camera and time."""
     sweeps = {file.sample: file for file in files if file.channel == _LIDAR and file.is_key}
-    scenes: dict[str, list[_File]] = {}
-    for file in files:
-        if file.channel == _LIDAR:
-            scenes.setdefault(file.scene, []).append(file)
-    ordered = {scene: sorted(sweep_files, key=lambda file: file.time_us) for scene, sweep_files in scenes.items()}
+    ordered: dict[str, list[_File]] = {}
+    for file in sorted((file for file in files if file.channel == _LIDAR), key=lambda file: file.time_us):
+        ordered.setdefault(file.scene, []).append(file)
     times = {scene: np.array([file.time_us for file in in_order], np.int64) for scene, in_order in ordered.items()}
     pairs = []
     for image in sorted(files, key=lambda file: (file.scene, file.channel, file.time_us)):

@@ -28,9 +28,8 @@ def records(folder: Path, table: str) -> Iterator[Mapping[str, Any]]:
     read_start(path, "table", 1)
     size = path.stat().st_size
     if size > _MAX_BYTES:
-        raise InputError(
-            "the table is too large", where=path, expected=f"at most {_MAX_BYTES} bytes", got=f"{size} bytes"
-        )
+        expected, got = f"at most {_MAX_BYTES} bytes", f"{size} bytes"
+        raise InputError("the table is too large", where=path, expected=expected, got=got)
     with path.open(encoding="utf-8", newline="") as file:
         text = _Text(file, path)
         text.skip("[")

@@ -22,20 +22,12 @@ from p2o.reading import existing_folder, layout, numbers, parse_json, read_pose,
 from p2o_formats.camera_entry import read_camera
 from p2o_formats.kitti_calibration import check_centre
 
+from p2o_datasets import lazy_dataset
 from p2o_datasets.bin_file import KITTI_COLUMNS
 from p2o_datasets.cloud_file import read_cloud
 from p2o_datasets.ego_path import pose_rows
 from p2o_datasets.kitti_folder import is_number
-from p2o_datasets.lazy_dataset import (
-    Listed,
-    Words,
-    cameras_field,
-    chosen,
-    drives_in,
-    file_inside,
-    read_image,
-    rig_frame,
-)
+from p2o_datasets.lazy_dataset import Listed, Words, cameras_field, chosen, drives_in, file_inside, rig_frame
 
 CAMERAS = ("cam01", "cam03", "cam05", "cam06", "cam07", "cam08", "cam09")
 _LIDAR = "lidar_roof"
@@ -59,29 +51,6 @@ class _Sequence:
     calibration: Mapping[str, Any]
     frames: Sequence[Mapping[str, Any]]
 
-    @property
-    def name(self) -> str:
-        return self.path.stem
-
-
-@dataclass(frozen=True, eq=False)
-class _Shot:
-    """An image of a sequence and its sweep; `number` is the index of the frame, `id` its time in milliseconds."""
-
-    sequence: _Sequence
-    camera: str
-    number: int
-    id: str
-
-    @property
-    def name(self) -> str:
-        return f"{self.sequence.name}/{self.camera}/{self.id}"
-
-    @property
-    def files(self) -> tuple[str, str]:
-        """Image and sweep, relative to the folder of the sequence."""
-        return f"{self.camera}/{self.id}.jpg", f"{_LIDAR}/{self.id}.bin"
-
 
 def build(options: OnceOptions) -> Dataset:
     """Return the frames of the selected sequences and cameras; names are "sequence/camera/frame".
@@ -92,29 +61,26 @@ def build(options: OnceOptions) -> Dataset:
     root = existing_folder(options.root, "ONCE").resolve()
     cameras = chosen("camera", options.cameras, CAMERAS)
     frames = Listed()
-    for sequence in _sequences(root, options.sequences):
-        folder = sequence.path.parent
+    home, expected = root / "data" if os.path.isdir(root / "data") else root, "folders such as 000027 with 000027.json"
+    for folder in drives_in(home, "sequence", "ONCE", options.sequences, _is_sequence, expected):
+        sequence = _sequence(folder)
         for camera in cameras:
             for number, record in enumerate(sequence.frames):
-                shot = _Shot(sequence, camera, number, _id(record, sequence.path))
-                missing = (f"{folder / file} is missing" for file in shot.files if not os.path.isfile(folder / file))
-                frames.add(shot.name, shot, next(missing, ""))
+                frame_id = _id(record, sequence.path)
+                files = (f"{camera}/{frame_id}.jpg", f"{_LIDAR}/{frame_id}.bin")
+                missing = (f"{folder / file} is missing" for file in files if not os.path.isfile(folder / file))
+                name = f"{folder.name}/{camera}/{frame_id}"
+                frames.add(name, (name, sequence, camera, number, files), next(missing, ""))
     expected = f"images of {', '.join(cameras)} and sweeps in {_LIDAR}"
-    got = "sequences without frames"
-    return frames.lazy("ONCE", root, partial(_read, options), expected=expected, got=got)
+    return frames.lazy("ONCE frames", root, partial(_read, options), expected=expected, got="sequences without frames")
 
 
-def _sequences(root: Path, wanted: Sequence[str]) -> list[_Sequence]:
-    home, expected = root / "data" if os.path.isdir(root / "data") else root, "folders such as 000027 with 000027.json"
-    folders = drives_in(home, "sequence", "ONCE", wanted, lambda folder: os.path.isfile(_file(folder)), expected)
-    return [_sequence(_file(folder)) for folder in folders]
+def _is_sequence(folder: Path) -> bool:
+    return os.path.isfile(folder / f"{folder.name}.json")
 
 
-def _file(folder: Path) -> Path:
-    return folder / f"{folder.name}.json"
-
-
-def _sequence(path: Path) -> _Sequence:
+def _sequence(folder: Path) -> _Sequence:
+    path = folder / f"{folder.name}.json"
     value = parse_json(read_text(path, "file of a sequence"), "file of a sequence", path)
     calibration, frames = (value.get(key) if isinstance(value, Mapping) else None for key in ("calib", "frames"))
     if not isinstance(calibration, Mapping) or not isinstance(frames, list):
@@ -133,33 +99,27 @@ def _id(record: Mapping[str, Any], path: Path) -> str:
     return text
 
 
-def _read(options: OnceOptions, shot: _Shot) -> Frame:
-    sequence = shot.sequence
-    folder = sequence.path.parent
-    image_path, sweep_path = (file_inside(folder.resolve(), folder, file, sequence.path) for file in shot.files)
-    entry, lidar_from_camera = _mounted(shot)
-    image, warnings = read_image(image_path, partial(_camera, options, shot, entry))
+def _read(options: OnceOptions, entry: tuple[str, _Sequence, str, int, tuple[str, str]]) -> Frame:
+    name, sequence, camera, number, files = entry
+    path, calibration = sequence.path, sequence.calibration
+    image_path, sweep_path = (file_inside(path.parent.resolve(), path.parent, file, path) for file in files)
+    if camera not in calibration:
+        raise UnknownNameError("camera", camera, map(str, calibration), where=path)
+    values = calibration[camera]
+    if not isinstance(values, Mapping):
+        raise InputError(f"calib.{camera} is not an object", where=path, expected="cam_to_velo, cam_intrinsic")
+    lidar_from_camera, _ = read_pose(f"calib.{camera}.cam_to_velo", values.get("cam_to_velo"), path)
+    image, warnings = lazy_dataset.read_image(image_path, partial(_camera, options, camera, values, path))
     cloud, cloud_warnings = read_cloud(sweep_path, columns=KITTI_COLUMNS)
-    first = _id(sequence.frames[0], sequence.path)
-    pose = _pose(sequence.frames[shot.number], shot.id, sequence.path)
-    time_s, extrinsic = (int(shot.id) - int(first)) / _PER_SECOND, se3.inverse(lidar_from_camera)
-    return rig_frame(shot.name, time_s, image, cloud, extrinsic, pose, *warnings, *cloud_warnings)
+    first, frame_id = (_id(sequence.frames[index], path) for index in (0, number))
+    pose = _pose(sequence.frames[number], frame_id, path)
+    time_s, extrinsic = (int(frame_id) - int(first)) / _PER_SECOND, se3.inverse(lidar_from_camera)
+    return rig_frame(name, time_s, image, cloud, extrinsic, pose, *warnings, *cloud_warnings)
 
 
-def _mounted(shot: _Shot) -> tuple[Mapping[str, Any], Float]:
-    """Return the entry of a camera, and lidar_from_camera (4, 4)."""
-    path = shot.sequence.path
-    if shot.camera not in shot.sequence.calibration:
-        raise UnknownNameError("camera", shot.camera, map(str, shot.sequence.calibration), where=path)
-    entry = shot.sequence.calibration[shot.camera]
-    if not isinstance(entry, Mapping):
-        raise InputError(f"calib.{shot.camera} is not an object", where=path, expected="cam_to_velo, cam_intrinsic")
-    return entry, read_pose(f"calib.{shot.camera}.cam_to_velo", entry.get("cam_to_velo"), path)[0]
-
-
-def _camera(options: OnceOptions, shot: _Shot, entry: Mapping[str, Any], width: int, height: int) -> Camera:
+def _camera(options: OnceOptions, name: str, entry: Mapping[str, Any], path: Path, width: int, height: int) -> Camera:
     """Return the camera of an image of width x height px."""
-    path, matrix = shot.sequence.path, numbers(entry.get("cam_intrinsic"), (3, 3))
+    matrix = numbers(entry.get("cam_intrinsic"), (3, 3))
     if matrix is not None:
         check_centre(matrix, width, height)
     camera: dict[str, Any] = {"width": width, "height": height, "K": entry.get("cam_intrinsic")}
@@ -168,7 +128,7 @@ def _camera(options: OnceOptions, shot: _Shot, entry: Mapping[str, Any], width: 
         if d is None:
             expected = "4, 5, 8, 12 or 14 numbers of OpenCV"
             got = str(entry.get("distortion"))[:60]
-            raise InputError(f"calib.{shot.camera}.distortion is invalid", where=path, expected=expected, got=got)
+            raise InputError(f"calib.{name}.distortion is invalid", where=path, expected=expected, got=got)
         model = "plumb_bob" if len(d) <= 5 else "rational_polynomial"
         camera |= {"distortion_model": model, "D": d.tolist()}
     return read_camera(camera, path)

@@ -10,7 +10,7 @@ sequence of the pose of the LiDAR relative to the camera at the times of the ima
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -21,19 +21,11 @@ from p2o import Cloud, Dataset, Float, Frame, InputError, Int, Method, Options, 
 from p2o.reading import existing_folder, layout, listing, parse_json, read_text
 from p2o_formats.kitti_calibration import rectified_camera
 
+from p2o_datasets import lazy_dataset
 from p2o_datasets.cloud_file import cloud_from_fields
 from p2o_datasets.ego_path import EgoPath, moved_cloud, pose_rows
 from p2o_datasets.kitti_folder import is_number
-from p2o_datasets.lazy_dataset import (
-    Listed,
-    Words,
-    cameras_field,
-    chosen,
-    drives_in,
-    finite_number,
-    read_image,
-    rig_frame,
-)
+from p2o_datasets.lazy_dataset import Listed, Words, cameras_field, chosen, drives_in, finite_number, rig_frame
 from p2o_datasets.pickled_table import read_pickled_table
 
 CAMERAS = tuple(f"{place}_camera" for place in ("front", "front_left", "front_right", "left", "right", "back"))
@@ -61,11 +53,15 @@ class _Sensor:
 
     folder: Path
 
+    def _content(self, name: str, what: str) -> tuple[Path, Any]:
+        """Return the path and the content of a JSON file."""
+        path = self.folder / name
+        return path, parse_json(read_text(path, what), what, path)
+
     @cached_property
     def time_ns(self) -> Int:
         """Time stamps of the frames (N,) in nanoseconds."""
-        path = self.folder / "timestamps.json"
-        content = parse_json(read_text(path, "file of time stamps"), "file of time stamps", path)
+        path, content = self._content("timestamps.json", "file of time stamps")
         times: list[Any] = content if isinstance(content, list) else [None]
         numbers = all(isinstance(time, int | float) and not isinstance(time, bool) for time in times)
         if not numbers or not all(abs(time) < _LATEST_S for time in times):
@@ -75,8 +71,7 @@ class _Sensor:
     @cached_property
     def poses(self) -> Float:
         """Poses world_from_sensor (N, 4, 4) of the frames."""
-        path = self.folder / "poses.json"
-        content = parse_json(read_text(path, "file of poses"), "file of poses", path)
+        path, content = self._content("poses.json", "file of poses")
         records: list[Any] = content if isinstance(content, list) else [None]
         if not all(isinstance(record, Mapping) for record in records):
             got = str(content)[:60]
@@ -94,55 +89,41 @@ class _Sensor:
             raise InputError(fault, where=where, expected=f"{len(self.time_ns)} poses", got=len(self.poses))
         return EgoPath(self.time_ns, self.poses, where)
 
+    def time_of(self, frame: int) -> int:
+        """Return the time stamp of a frame in nanoseconds; raises InputError without a pose of the frame."""
+        if frame >= (got := len(self.path.time_ns)):
+            fault, where = "there is no pose of the frame", self.folder / "poses.json"
+            raise InputError(fault, where=where, expected=f"more than {frame} poses", got=got)
+        return int(self.time_ns[frame])
+
     @cached_property
     def projection(self) -> Float:
         """Projection (3, 4) of a camera, in px."""
-        path = self.folder / "intrinsics.json"
-        content = parse_json(read_text(path, "file of intrinsics"), "file of intrinsics", path)
+        path, content = self._content("intrinsics.json", "file of intrinsics")
         fx, fy, cx, cy = (_number(content, key, path) for key in ("fx", "fy", "cx", "cy"))
         return np.array([[fx, 0, cx, 0], [0, fy, cy, 0], [0, 0, 1, 0]])
-
-    def file(self, frame: str, suffixes: Sequence[str]) -> Path | None:
-        """Return the file of a frame, or None."""
-        return next((path for end in suffixes if os.path.isfile(path := self.folder / (frame + end))), None)
 
 
 _POSE = (*(("heading", axis) for axis in "xyzw"), *(("position", axis) for axis in "xyz"))
 
 
 @dataclass(frozen=True, eq=False)
-class _Sequence:
-    """A sequence: its folder and its LiDARs, which share one pose."""
-
-    folder: Path
-    lidar: _Sensor
-
-    @property
-    def name(self) -> str:
-        return self.folder.name
-
-
-@dataclass(frozen=True, eq=False)
 class _Rig:
-    """A camera of a sequence."""
+    """A camera of a sequence, with its name "sequence/camera", and the LiDARs, which share one pose."""
 
-    sequence: _Sequence
+    name: str
     camera: _Sensor
-
-    @property
-    def name(self) -> str:
-        return self.camera.folder.name
+    lidar: _Sensor
 
     @cached_property
     def mounting(self) -> tuple[Float, tuple[str, ...]]:
         """Mean camera_from_lidar (4, 4) over all images for which the LiDAR has a pose, and a remark."""
         from scipy.spatial.transform import Rotation
 
-        lidar = self.sequence.lidar.path
         extrinsics = []
         for time_ns, pose in zip(self.camera.path.time_ns.tolist(), self.camera.poses, strict=True):
             try:
-                extrinsics.append(se3.inverse(pose) @ lidar.at(time_ns))
+                extrinsics.append(se3.inverse(pose) @ self.lidar.path.at(time_ns))
             except InputError:
                 continue
         if not extrinsics:
@@ -153,8 +134,8 @@ class _Rig:
         angle_deg, shift_m = (max(map(measure, errors)) for measure in (se3.angle_deg, se3.distance_m))
         remark: tuple[str, ...] = ()
         if angle_deg > _LOOSE_DEG or shift_m > _LOOSE_M:
-            what = f"{self.sequence.name}/{self.name}: the relative pose of camera and LiDAR"
-            remark = (f"{what} varies by up to {angle_deg:.2f} deg and {shift_m:.3f} m; its mean is used",)
+            what = "the relative pose of camera and LiDAR"
+            remark = (f"{self.name}: {what} varies by up to {angle_deg:.2f} deg and {shift_m:.3f} m; its mean is used",)
         return mean, remark
 
 
@@ -169,34 +150,28 @@ def build(options: PandasetOptions) -> Dataset:
     frames = Listed()
     folders = "folders such as 001 with camera and lidar"
     for folder in drives_in(root, "sequence", "PandaSet", options.sequences, _is_sequence, folders):
-        sequence = _Sequence(folder, _Sensor(folder / "lidar"))
+        lidar = _Sensor(folder / "lidar")
         for camera in cameras:
-            rig = _Rig(sequence, _Sensor(folder / "camera" / camera))
-            for image in _images(rig.camera.folder):
-                name, sweep = f"{sequence.name}/{camera}/{image.stem}", sequence.lidar.file(image.stem, _SUFFIXES)
-                reason = "" if sweep else f"{sequence.lidar.folder / image.stem}.pkl.gz is missing"
-                frames.add(name, (rig, image.stem, image, sweep), reason)
-    expected = f"images in camera/{cameras[0]} and sweeps in lidar"
-    got = "sequences without such images"
-    return frames.lazy("PandaSet", root, partial(_read, options), expected=expected, got=got)
+            rig = _Rig(f"{folder.name}/{camera}", _Sensor(folder / "camera" / camera), lidar)
+            inside = listing(rig.camera.folder, "PandaSet") if os.path.isdir(rig.camera.folder) else []
+            for image in (path for path in inside if path.suffix == ".jpg" and is_number(path.stem)):
+                paths = (lidar.folder / (image.stem + suffix) for suffix in _SUFFIXES)
+                sweep = next(filter(os.path.isfile, paths), None)
+                reason = "" if sweep else f"{lidar.folder / image.stem}.pkl.gz is missing"
+                frames.add(f"{rig.name}/{image.stem}", (rig, image.stem, image, sweep), reason)
+    expected, got = f"images in camera/{cameras[0]} and sweeps in lidar", "sequences without such images"
+    return frames.lazy("PandaSet frames", root, partial(_read, options), expected=expected, got=got)
 
 
 def _is_sequence(folder: Path) -> bool:
     return os.path.isdir(folder / "camera") and os.path.isdir(folder / "lidar")
 
 
-def _images(folder: Path) -> list[Path]:
-    inside = listing(folder, "PandaSet") if os.path.isdir(folder) else []
-    return [path for path in inside if path.suffix == ".jpg" and is_number(path.stem)]
-
-
 def _read(options: PandasetOptions, entry: tuple[_Rig, str, Path, Path]) -> Frame:
     rig, number, image_path, sweep_path = entry
-    sequence = rig.sequence
-    lidar = sequence.lidar.path
-    image_ns, _ = _at(rig.camera, int(number))
-    sweep_ns, _ = _at(sequence.lidar, int(number))
-    image, warnings = read_image(image_path, partial(rectified_camera, rig.camera.projection))
+    lidar = rig.lidar.path
+    image_ns, sweep_ns = (sensor.time_of(int(number)) for sensor in (rig.camera, rig.lidar))
+    image, warnings = lazy_dataset.read_image(image_path, partial(rectified_camera, rig.camera.projection))
     mounting, remark = rig.mounting
     now = lidar.at(image_ns)
     moment_ns = image_ns if options.moved else sweep_ns
@@ -206,18 +181,8 @@ def _read(options: PandasetOptions, entry: tuple[_Rig, str, Path, Path]) -> Fram
     known = span_ns is not None and span_ns[1] - span_ns[0] >= _SECOND // 1000
     twist = lidar.twist_or_none(*span_ns) if known and span_ns is not None else None
     cloud = replace(cloud, time_s=None) if twist is None or cloud.time_s is None else replace(cloud, twist=twist)
-    name, time_s = f"{sequence.name}/{rig.name}/{number}", (image_ns - int(lidar.time_ns[0])) / _SECOND
+    name, time_s = f"{rig.name}/{number}", (image_ns - int(lidar.time_ns[0])) / _SECOND
     return rig_frame(name, time_s, image, cloud, mounting, now, *warnings, *cloud_warnings, *remark, twist=twist)
-
-
-def _at(sensor: _Sensor, frame: int) -> tuple[int, Float]:
-    """Return time stamp and pose of a frame."""
-    path = sensor.path
-    if frame >= len(path.time_ns):
-        where = sensor.folder / "poses.json"
-        got = len(path.time_ns)
-        raise InputError("there is no pose of the frame", where=where, expected=f"more than {frame} poses", got=got)
-    return int(path.time_ns[frame]), path.world_from_body[frame]
 
 
 def _sweep(

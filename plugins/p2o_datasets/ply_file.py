@@ -44,9 +44,8 @@ def read_ply(data: bytes, path: Path) -> Mapping[str, Any]:
     short = 2 * points * len(properties) > len(body) + 1
     values = np.zeros((0, len(properties))) if short else read_table(body, len(properties), path, points)
     if len(values) != points:
-        fault = "the .ply file is truncated"
-        got = f"{len(body)} bytes" if short else len(values)
-        raise InputError(fault, where=path, expected=f"{points} lines of {len(properties)} numbers", got=got)
+        expected, got = f"{points} lines of {len(properties)} numbers", f"{len(body)} bytes" if short else len(values)
+        raise InputError("the .ply file is truncated", where=path, expected=expected, got=got)
     return {name: as_stored(column, code[0]) for (name, code), column in zip(properties, values.T, strict=True)}
 
 

@@ -78,11 +78,9 @@ def usable_points(xyz: Float) -> Bool:
 
 def not_finite(value: Any) -> str | None:
     """Return why the values of a field cannot be used, or None."""
-    if value.dtype.kind == "f":
-        with np.errstate(invalid="ignore", over="ignore"):
-            finite = bool(np.isfinite(value.astype(np.float64)).all())
-        return None if finite else "not finite numbers"
-    return None if value.dtype.kind in "iu" else "not finite numbers"
+    with np.errstate(invalid="ignore", over="ignore"):
+        finite = value.dtype.kind in "iu" or (value.dtype.kind == "f" and np.isfinite(value.astype(np.float64)).all())
+    return None if finite else "not finite numbers"
 
 
 def only_rings(name: str) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -133,18 +134,14 @@ def _cameras(bag: Bag, options: RosOptions) -> list[_Source]:
     cameras = []
     for topic in topics or (None,):
         chosen = choose(bag, topic, options.cloud_topic, options.camera_info_topic)
-        name = _camera_name(chosen.image.name) if len(topics) > 1 else options.camera_name
+        # A camera of several has the name of its topic without the last part.
+        parts = base(chosen.image.name).strip("/").split("/")
+        name = "_".join(parts[:-1] or parts) if len(topics) > 1 else options.camera_name
         cameras.append(_Source(bag, options, chosen, _camera(bag, options, chosen), name, (None, ()), 0))
     names = [source.camera_name for source in cameras]
     if len(set(names)) < len(names):
         raise InputError("the topics of two cameras give the same name", where=bag.path, got=", ".join(names))
     return cameras
-
-
-def _camera_name(topic: str) -> str:
-    """Return the name of a camera: its topic without the last part."""
-    name = base(topic).strip("/")
-    return (name.rpartition("/")[0] or name).replace("/", "_")
 
 
 def _camera(bag: Bag, options: RosOptions, chosen: Chosen) -> RosCamera:
@@ -169,13 +166,12 @@ def _index(
     """Return references to the messages of each topic by unique stamps; damaged ones are listed in `skipped`."""
     references: dict[str, dict[int, _MessageRef]] = {topic: {} for topic in topics}
     counts = dict.fromkeys(topics, 0)
-    before: dict[str, tuple[int, int]] = {}
+    numbers: Counter[tuple[str, int]] = Counter()
     offset_ns = round(options.image_offset_s * _SECOND)
     for message in bag.messages(topics):
         topic = message.topic.name
-        time_ns, number = before.get(topic, (-1, -1))
-        number = number + 1 if time_ns == message.time_ns else 0
-        before[topic] = (message.time_ns, number)
+        number = numbers[topic, message.time_ns]
+        numbers[topic, message.time_ns] += 1
         try:
             header = read_header(message.topic.kind, message.data, ros1=message.ros1, where=f"{bag.path}: {topic}")
         except InputError as problem:
@@ -256,11 +252,9 @@ def _extrinsic(
             got = f"frames {', '.join(tree.names) or '(none)'}"
             hint = "give the frames: --set data.image_frame=NAME, data.cloud_frame=NAME; or --set data.tf=ignore"
             raise InputError(fault, where=bag.path, expected="/tf_static from one to the other", got=got, hint=hint)
-        warning = (
-            f"{bag.name}: no static transforms of TF connect {lidar} and {camera}: no initial guess; frames of TF: "
-            f"{', '.join(tree.names)}: choose with data.cloud_frame or data.image_frame, or give --start"
-        )
-        return None, (warning,)
+        text = f"{bag.name}: no static transforms of TF connect {lidar} and {camera}: no initial guess; frames of TF: "
+        advice = "choose with data.cloud_frame or data.image_frame, or give --start"
+        return None, (f"{text}{', '.join(tree.names)}: {advice}",)
     pose, more = posed
     axes = options.camera_axes
     if has_body_axes(camera):
@@ -308,15 +302,12 @@ def _thinned(
     positions = position_at(times) if position_at is not None else None
     kept: list[int] = []
     for number in range(len(pairs)):
-        if kept:
-            seconds = float(times[number] - times[kept[-1]]) / _SECOND
-            if options.every_s is not None and seconds < options.every_s * (1 - 1e-9):
-                continue
-            if positions is not None and options.every_m is not None:
-                distance_m = float(np.linalg.norm(positions[number] - positions[kept[-1]]))
-                if distance_m < options.every_m * (1 - 1e-9):
-                    continue
-        kept.append(number)
+        last = kept[-1] if kept else number
+        gaps = [(options.every_s, float(times[number] - times[last]) / _SECOND)]
+        if positions is not None:
+            gaps.append((options.every_m, float(np.linalg.norm(positions[number] - positions[last]))))
+        if not kept or all(least is None or gap >= least * (1 - 1e-9) for least, gap in gaps):
+            kept.append(number)
     if options.most is not None and len(kept) > options.most:
         spread = np.linspace(0, len(kept) - 1, options.most).round().astype(int)
         kept = [kept[index] for index in spread.tolist()]

@@ -51,7 +51,8 @@ def camera_of_info(message: CameraInfoMessage, where: Path, *, rectified: bool) 
         return RosCamera(camera, np.eye(3), warnings)
     if message.P[:, 3].any():
         warnings += (f"{where}: P is the second camera of a stereo pair; its frame is assumed to be its own",)
-    return RosCamera(camera, _rotation(message.R, where), warnings)
+    rotation = se3.check_rigid("R", se3.make(message.R), where=where)[:3, :3] if message.R.any() else np.eye(3)
+    return RosCamera(camera, rotation, warnings)
 
 
 def camera_by_name(message: CameraInfoMessage, where: Path, *, rectified: bool) -> RosCamera:
@@ -92,9 +93,3 @@ def _cut(message: CameraInfoMessage, matrix: Float, where: Path) -> tuple[int, i
         matrix[axis, axis] /= size
         matrix[axis, 2] = (matrix[axis, 2] - start + 0.5) / size - 0.5 if size > 1 else matrix[axis, 2] - start
     return width // bins[0], height // bins[1], matrix
-
-
-def _rotation(rotation: Float, where: Path) -> Float:
-    if not rotation.any():
-        return np.eye(3)
-    return se3.check_rigid("R", se3.make(rotation), where=where)[:3, :3]

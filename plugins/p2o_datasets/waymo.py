@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from p2o import Camera, Cloud, Dataset, Float, Frame, Image, InputError, Method, Options, field, se3
+from p2o import Cloud, Dataset, Float, Frame, Image, InputError, Method, Options, field, se3
 from p2o.reading import adjoint, decode_rgb, existing_folder, layout, listing, naming, pose_at, read_pose
 from p2o_formats.camera_entry import read_camera
 
@@ -63,12 +63,8 @@ class _Pair:
     sweep_row: int
 
     @property
-    def camera_name(self) -> str:
-        return CAMERAS[self.camera - 1]
-
-    @property
     def name(self) -> str:
-        return f"{self.segment.name}/{self.camera_name}/{self.frame_us}"
+        return f"{self.segment.name}/{CAMERAS[self.camera - 1]}/{self.frame_us}"
 
 
 def build(options: WaymoOptions) -> Dataset:
@@ -78,8 +74,7 @@ def build(options: WaymoOptions) -> Dataset:
     frames, and UnknownNameError for unknown segments and cameras.
     """
     root = existing_folder(options.root, "Waymo").resolve()
-    segments = _segments(root, options.segments)
-    cameras = chosen("camera", options.cameras, CAMERAS)
+    segments, cameras = _segments(root, options.segments), chosen("camera", options.cameras, CAMERAS)
     frames = Listed()
     for segment in segments:
         sweeps = segment.sweeps(LIDARS.index(options.lidar) + 1)
@@ -93,7 +88,7 @@ def build(options: WaymoOptions) -> Dataset:
                 frames.add(pair.name, pair, "" if frame_us in sweeps else lacking)
     expected = f"images of {', '.join(cameras)} and sweeps of {options.lidar}"
     got = f"{len(segments)} segments without such images"
-    return frames.lazy("Waymo", root, partial(_read, options), expected=expected, got=got)
+    return frames.lazy("Waymo frames", root, partial(_read, options), expected=expected, got=got)
 
 
 def _segments(root: Path, wanted: Sequence[str]) -> Sequence[Segment]:
@@ -113,8 +108,12 @@ def _segments(root: Path, wanted: Sequence[str]) -> Sequence[Segment]:
 def _read(options: WaymoOptions, pair: _Pair) -> Frame:
     segment = pair.segment
     calibration = segment.where("camera_calibration")
-    row = _of(segment.camera_rows, pair.camera, pair.camera_name, calibration)
-    camera = _camera(row, calibration)
+    row = _of(segment.camera_rows, pair.camera, CAMERAS[pair.camera - 1], calibration)
+    fu, fv, cu, cv, *d = (finite_number(row[f"intrinsic.{name}"], name, calibration) for name in LENS)
+    # Pixel coordinates start at the edge of the first pixel, in p2o at its centre.
+    matrix = [[fu, 0.0, cu - 0.5], [0.0, fv, cv - 0.5], [0.0, 0.0, 1.0]]
+    size = {name: finite_number(row[name], name, calibration) for name in ("width", "height")}
+    camera = read_camera({**size, "K": matrix, "distortion_model": "plumb_bob", "D": d}, calibration)
     vehicle_from_camera = _pose(row["extrinsic.transform"], "the extrinsic of the camera", calibration)
     exposure = segment.image(pair.image_row, pair.camera)
     where = Path(f"{segment.where('camera_image')}: {pair.frame_us}")
@@ -142,14 +141,6 @@ def _of(rows: Mapping[int, Mapping[str, Any]], number: int, name: str, path: Pat
     if number not in rows:
         raise InputError("a sensor has no calibration", where=path, expected=f"{name} (number {number})")
     return rows[number]
-
-
-def _camera(row: Mapping[str, Any], path: Path) -> Camera:
-    fu, fv, cu, cv, *d = (finite_number(row[f"intrinsic.{name}"], name, path) for name in LENS)
-    # Pixel coordinates start at the edge of the first pixel, in p2o at its centre.
-    matrix = [[fu, 0.0, cu - 0.5], [0.0, fv, cv - 0.5], [0.0, 0.0, 1.0]]
-    size = {name: finite_number(row[name], name, path) for name in ("width", "height")}
-    return read_camera({**size, "K": matrix, "distortion_model": "plumb_bob", "D": d}, path)
 
 
 def _moment(exposure: Mapping[str, Any], shutter: Any, where: Path) -> tuple[Float, Float, tuple[str, ...]]:
@@ -194,9 +185,9 @@ def _sweep(
         if pixel_poses is None:
             raise InputError("there are no poses of the pixels", where=path, expected=f"frame {pair.frame_us}")
         if pixel_poses.shape[:2] != pixels.shape[:2]:
+            got, size = ("x".join(map(str, grid.shape[:2])) for grid in (pixel_poses, pixels))
             fault = "poses and ranges have different sizes"
-            got = f"{pixel_poses.shape[0]}x{pixel_poses.shape[1]}"
-            raise InputError(fault, where=path, expected=f"{pixels.shape[0]}x{pixels.shape[1]} pixels", got=got)
+            raise InputError(fault, where=path, expected=f"{size} pixels", got=got)
         pixel_poses = pixel_poses[ring, column]
         refuse_jump(np.vstack([_frame_pose(pair)[:3, 3], pixel_poses[:, 3:]]), _MAX_EXPOSURE_S, path)
         world = to_world(se3.apply(vehicle_from_lidar, xyz), pixel_poses)
@@ -210,10 +201,9 @@ def _inclinations(row: Mapping[str, Any], height: int, path: Path) -> Float:
     """Return the inclinations (H,) of the rows in radians, highest beam first."""
     values = row["beam_inclination.values"]
     if values is None or not len(values):
-        ends = {
-            end: finite_number(row[f"beam_inclination.{end}"], f"{end} inclination", path) for end in ("min", "max")
-        }
-        values = uniform_inclinations(ends["min"], ends["max"], height)
+        ends = {end: row[f"beam_inclination.{end}"] for end in ("min", "max")}
+        lowest, highest = (finite_number(value, f"{end} inclination", path) for end, value in ends.items())
+        values = uniform_inclinations(lowest, highest, height)
     values = np.asarray(values, dtype=np.float64) if isinstance(values, np.ndarray) else np.array([])
     if values.shape != (height,) or not (np.abs(values) < np.pi / 2).all():
         expected = f"{height} angles in radians"

@@ -16,7 +16,7 @@ from p2o.reading import Calibration, FrameName, Reading, Source, digits, plain, 
 
 from p2o_formats.format import FRAMES, ONLY_EXTRINSIC, Format, comment_lines
 from p2o_formats.frame_names import optical_from
-from p2o_formats.frame_tree import Edge, Posed, calibration_of
+from p2o_formats.frame_tree import Edge, calibration_of
 
 _KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
 
@@ -69,21 +69,19 @@ def read(source: Source, reading: Reading) -> Calibration:
     if reading.camera_frame is None and reading.name:
         reading = reading.model_copy(update={"camera_frame": reading.name})
     transforms = [
-        Edge(str(base), name, partial(_place, name, child, source))
+        Edge(str(base), name, partial(read_pose, name, entry, source.path))
         for base, value in source.tree.items()
-        for name, child in _children(value).items()
+        for name, entry in _children(value).items()
     ]
     return calibration_of(transforms, reading, source.path)
 
 
-def _children(value: Any) -> dict[str, Mapping[str, Any]]:
+def _children(value: Any) -> dict[str, dict[str, list[Any]]]:
+    """Return the poses of the children of a frame by name, in the form of `read_pose`."""
     items = value.items() if isinstance(value, Mapping) else ()
-    return {str(name): child for name, child in items if isinstance(child, Mapping) and set(_KEYS) <= child.keys()}
-
-
-def _place(name: str, child: Mapping[str, Any], source: Source) -> Posed:
-    values = [child[key] for key in _KEYS]
-    return read_pose(name, {"translation_m": values[:3], "rpy_rad": values[3:]}, source.path)
+    children = {str(name): child for name, child in items if isinstance(child, Mapping) and set(_KEYS) <= child.keys()}
+    parts = {"translation_m": _KEYS[:3], "rpy_rad": _KEYS[3:]}
+    return {name: {key: [c[k] for k in keys] for key, keys in parts.items()} for name, c in children.items()}
 
 
 FORMAT = Format(

@@ -85,17 +85,12 @@ def read_matrix(name: str, value: Any, height: int, where: object) -> tuple[Pinh
     """
     matrix = numbers(value, (3, 3))
     if matrix is None or not is_intrinsic(matrix):
-        hint = None
-        if matrix is not None and is_intrinsic(matrix.T):
-            hint = (
-                "transpose it, as MATLAB's matrices, whose principal point is also 1 px larger: subtract 1 from cx, cy"
-            )
-        expected = "fx 0 cx, 0 fy cy, 0 0 1"
-        raise InputError(
-            f"{name} is not an intrinsic matrix", where=where, expected=expected, got=str(value)[:80], hint=hint
-        )
-    remarks = skew_remarks(name, matrix, height, where)
-    return (float(matrix[0, 0]), float(matrix[1, 1]), float(matrix[0, 2]), float(matrix[1, 2])), remarks
+        of_matlab = matrix is not None and is_intrinsic(matrix.T)
+        hint = "transpose it, as MATLAB's matrices, whose principal point is also 1 px larger: subtract 1 from cx, cy"
+        fault, expected, got = f"{name} is not an intrinsic matrix", "fx 0 cx, 0 fy cy, 0 0 1", str(value)[:80]
+        raise InputError(fault, where=where, expected=expected, got=got, hint=hint if of_matlab else None)
+    pinhole = (float(matrix[0, 0]), float(matrix[1, 1]), float(matrix[0, 2]), float(matrix[1, 2]))
+    return pinhole, skew_remarks(name, matrix, height, where)
 
 
 def is_intrinsic(matrix: Float) -> bool:
@@ -118,11 +113,8 @@ def skew_remarks(name: str, matrix: Float, height: int, where: object) -> tuple[
         fault = f"{name} has a skew of {skew:g}, which shifts pixels by up to {effect_px:.2g} px"
         hint = "calibrate the camera without skew, as OpenCV and ROS do; or set it to 0, if this error is acceptable"
         raise InputError(fault, where=where, expected=f"at most {_MOST_SKEW_PX:g} px", hint=hint)
-    if abs(skew) <= 1e-9:
-        return ()
-    return (
-        f"{where}: the skew {skew:g} of {name} is neglected; its largest effect in the image is {effect_px:.2g} px",
-    )
+    text = f"{where}: the skew {skew:g} of {name} is neglected; its largest effect in the image is {effect_px:.2g} px"
+    return (text,) if abs(skew) > 1e-9 else ()
 
 
 COUNTS = {"plumb_bob": (0, 4, 5), "rational_polynomial": (0, 4, 5, 8, 12, 14), "equidistant": (4,)}
@@ -153,11 +145,6 @@ def distortion_model(name: str) -> str:
         hint = "other names of these models are accepted, such as radtan, brown_conrady, fisheye and kannala_brandt"
         raise InputError(fault, expected=known, got=repr(name)[:60], hint=hint)
     return model
-
-
-def _is_inverse(name: str) -> bool:
-    """Return whether a distortion maps distorted pixels to rays (RealSense), instead of rays to pixels."""
-    return name.lower().lstrip(" _-").startswith("inverse")
 
 
 _FISHEYE = ("SIMPLE_FISHEYE", "FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "OPENCV_FISHEYE")
@@ -226,7 +213,8 @@ def colmap_model(name: str | None, d: Sequence[float], pinhole: Pinhole) -> tupl
     a camera without distortion PINHOLE. Raises InputError for other names or counts, for coefficients beyond k6, and
     for the inverse of a model unless its coefficients are zero.
     """
-    if _is_inverse(name or ""):
+    if (name or "").lower().lstrip(" _-").startswith("inverse"):
+        # Distortion models of RealSense that map distorted pixels to rays.
         if any(d):
             fault = f"the distortion {name!r} maps image pixels to rays, and p2o needs the map from rays to pixels"
             hint = "calibrate the camera with OpenCV or ROS (plumb_bob), or rectify the images and use none"

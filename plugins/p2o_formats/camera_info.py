@@ -89,9 +89,8 @@ def read(source: Source, reading: Reading) -> Calibration:
 
 
 def _check_whole(tree: Mapping[str, Any], source: Source) -> None:
-    region = tree.get("roi")
-    keys = ("x_offset", "y_offset", "width", "height")
-    values = [region.get(key) or 0 for key in keys] if isinstance(region, Mapping) else [0] * 4
+    region = roi if isinstance(roi := tree.get("roi"), Mapping) else {}
+    values = [region.get(key) or 0 for key in ("x_offset", "y_offset", "width", "height")]
     # Some drivers state the whole image.
     cropped = values not in ([0] * 4, [0, 0, tree.get("width"), tree.get("height")])
     binned = any(tree.get(key) not in (None, 0, 1) for key in ("binning_x", "binning_y"))
@@ -115,8 +114,8 @@ def lens_from_matrix(
     if model in (None, ""):
         model = "plumb_bob" if len(coefficients) <= 5 else "rational_polynomial"
     if not isinstance(model, str):
-        fault, got = "the distortion model is not a name", repr(model)[:60]
-        raise InputError(fault, where=source.path, expected="plumb_bob", got=got)
+        fault = "the distortion model is not a name"
+        raise InputError(fault, where=source.path, expected="plumb_bob", got=repr(model)[:60])
     return Lens(*size, *pinhole, model, tuple(coefficients), remarks)
 
 

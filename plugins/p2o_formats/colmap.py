@@ -17,19 +17,8 @@ import numpy as np
 from p2o import Camera, Options, field, se3
 from p2o.reading import Calibration, FrameName, Reading, Source, plain, quaternion_xyzw, read_pose, spaced
 
-from p2o_formats.format import (
-    FRAMES,
-    NAMED_SIZE,
-    ONLY_CAMERA,
-    ONLY_EXTRINSIC,
-    Format,
-    comment_lines,
-    described,
-    json_text,
-    required_numbers,
-    select_camera,
-    size_of,
-)
+from p2o_formats import format as common
+from p2o_formats.format import FRAMES, NAMED_SIZE, ONLY_CAMERA, ONLY_EXTRINSIC, Format, comment_lines, required_numbers
 from p2o_formats.frame_names import is_lidar
 from p2o_formats.frame_tree import Edge, Posed, calibration_of
 
@@ -70,7 +59,7 @@ def read_cameras(source: Source, reading: Reading) -> Calibration:
     Raises UnknownNameError for an unknown model, and InputError for a missing ID or invalid values.
     """
     rows = {words[0]: words for words in _rows(source)}
-    wanted = select_camera(rows, reading.name, "FILE#ID", source.path)
+    wanted = common.select_camera(rows, reading.name, "FILE#ID", source.path)
     words = rows[wanted]
     params = required_numbers("the parameters", words[4:], None, source.path, f"parameters of {words[1]}")
     width, height = (int(word[:9]) for word in words[2:4])
@@ -93,9 +82,9 @@ def write_rig(calibration: Calibration, options: ColmapOptions) -> bytes:
         camera |= {"width": calibration.camera.width, "height": calibration.camera.height}
     axes = "the camera (x right, y down, z forward); m, w x y z"
     text = f"cam_from_rig maps points of {options.lidar_frame} to {axes}"
-    camera["comment"] = described(calibration, text)
+    camera["comment"] = common.described(calibration, text)
     tree = [{"cameras": [{"image_prefix": f"{options.lidar_frame}/", "ref_sensor": True}, camera]}]
-    return json_text(tree)
+    return common.json_text(tree)
 
 
 def recognises_rig(source: Source) -> bool:
@@ -117,15 +106,14 @@ def read_rig(source: Source, reading: Reading) -> Calibration:
     wanted = reading.camera_frame or reading.name or (cameras[0] if len(cameras) == 1 else None)
     # Sensors of a rig have axes as in COLMAP, whatever their names are.
     named = reading.model_copy(update={"camera_frame": wanted, "camera_axes": "optical"})
-    edges = [
-        Edge("the rig", name, partial(_place, name, entry, source), quaternion=True) for name, entry in sensors.items()
-    ]
+    poses = {name: partial(_place, name, entry, source) for name, entry in sensors.items()}
+    edges = [Edge("the rig", name, pose, quaternion=True) for name, pose in poses.items()]
     calibration = calibration_of(edges, named, where)
     entry = sensors[calibration.camera_frame]
     if "camera_model_name" not in entry:
         return calibration
     values = required_numbers("camera_params", entry.get("camera_params"), None, where, "parameters of the model")
-    size = size_of(entry.get("width"), entry.get("height"), reading, where)
+    size = common.size_of(entry.get("width"), entry.get("height"), reading, where)
     camera = None if size is None else _camera(str(entry["camera_model_name"]), size, values)
     return replace(calibration, camera=camera, lacks_image_size=size is None)
 

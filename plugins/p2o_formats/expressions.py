@@ -127,18 +127,15 @@ class PythonFile:
             return self.text(node.value, level + 1)
         if isinstance(node, ast.List) and len(node.elts) == 1:
             return self.text(node.elts[0], level + 1)
-        keywords = {word.arg: word.value for word in node.keywords} if isinstance(node, ast.Call) else {}
-        if (
-            isinstance(node, ast.Call)
-            and _called(node) in ("str", "TextSubstitution")
-            and (node.args or "text" in keywords)
-        ):
-            return self.text(node.args[0] if node.args else keywords["text"], level + 1)
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "perform":
-            return self.text(node.func.value, level + 1)
-        if isinstance(node, ast.Call) and _called(node) == "LaunchConfiguration":
-            name = self.text(node.args[0] if node.args else keywords.get("variable_name"), level + 1)
-            return self.text(self._arguments.get(name, keywords.get("default")), level + 1).replace("?", name)
+        if isinstance(node, ast.Call):
+            keywords = {word.arg: word.value for word in node.keywords}
+            if _called(node) in ("str", "TextSubstitution") and (node.args or "text" in keywords):
+                return self.text(node.args[0] if node.args else keywords["text"], level + 1)
+            if isinstance(node.func, ast.Attribute) and node.func.attr == "perform":
+                return self.text(node.func.value, level + 1)
+            if _called(node) == "LaunchConfiguration":
+                name = self.text(node.args[0] if node.args else keywords.get("variable_name"), level + 1)
+                return self.text(self._arguments.get(name, keywords.get("default")), level + 1).replace("?", name)
         try:
             return repr(_number(node, self._names))
         except (ValueError, TypeError, ArithmeticError, RecursionError):

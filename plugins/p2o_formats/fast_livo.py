@@ -39,10 +39,8 @@ class FastLivoOptions(Options):
 
 def write(calibration: Calibration, options: FastLivoOptions) -> bytes:
     """Return the text; raises InputError for camera models that vikit does not have."""
-    direction = (
-        "# Maps points of the LiDAR to the camera: p_camera = Rcl p_lidar + Pcl, in metres. Camera x right, y down."
-    )
-    lines = [direction, *comment_lines(calibration)]
+    head = "# Maps points of the LiDAR to the camera: p_camera = Rcl p_lidar + Pcl, in metres. Camera x right, y down."
+    lines = [head, *comment_lines(calibration)]
     if calibration.camera is not None:
         lines += _camera_lines(calibration.camera)
     if calibration.camera_from_lidar is not None:

@@ -99,8 +99,7 @@ class Format:
                 fault, hint = "the result has no estimated pose to export", "export it as json, which stores the status"
                 got = f"{result.status.value} ({result.reason})"
                 raise InputError(fault, where=path, expected="a solved calibration", got=got, hint=hint)
-            pose, comment = result.camera_from_lidar, provenance(result)
-            calibration = Calibration(result.intrinsics, pose, comment=comment)
+            calibration = Calibration(result.intrinsics, result.camera_from_lidar, comment=provenance(result))
             write_whole(path, self.written(calibration, options, path))
 
         return export
@@ -122,11 +121,8 @@ class FormatReader(CalibrationReader):
             for field in sorted(self._reading.model_fields_set - self._form.fields):
                 got = str(getattr(self._reading, field))
                 if got:
-                    fault, expected = (
-                        f"{field} does not apply to {self._form.name}",
-                        ", ".join(sorted(self._form.fields)),
-                    )
-                    raise InputError(fault, where=source.path, expected=expected or "no field", got=got)
+                    fault, expected = f"{field} does not apply to {self._form.name}", sorted(self._form.fields)
+                    raise InputError(fault, where=source.path, expected=", ".join(expected) or "no field", got=got)
             return self._form.read(source, self._reading)
 
     def example(self) -> bytes:
@@ -151,9 +147,8 @@ def size_of(width: Any, height: Any, reading: Reading, where: object) -> tuple[i
     """
     for ours, other in ((width, reading.width), (height, reading.height)):
         if ours is not None and other is not None and ours != other:
-            raise InputError(
-                "the file states another image size", where=where, expected=f"{ours} px", got=f"{other} px"
-            )
+            fault = "the file states another image size"
+            raise InputError(fault, where=where, expected=f"{ours} px", got=f"{other} px")
     stated = (reading.width if width is None else width, reading.height if height is None else height)
     if None in stated:
         return None

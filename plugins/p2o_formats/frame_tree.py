@@ -13,16 +13,8 @@ import numpy as np
 from p2o import Float, InputError, UnknownNameError, se3
 from p2o.reading import Calibration, Reading
 
-from p2o_formats.frame_names import (
-    axes_remark,
-    check_same,
-    is_body,
-    is_camera,
-    is_lidar,
-    is_optical,
-    may_be_body_of,
-    optical_from,
-)
+from p2o_formats import frame_names
+from p2o_formats.frame_names import is_body, is_camera, is_lidar, is_optical
 
 Posed = tuple[Float, tuple[str, ...]]
 """A transform (4, 4) and remarks on it."""
@@ -170,7 +162,7 @@ class FrameTree:
         (pose, remarks), *others = [edge.pose() for edge in self._parents[child][parent]]
         for other, _ in others:
             name = f"the transform from {child} to {parent}"
-            check_same(name, pose, "its repetition", other, None)
+            frame_names.check_same(name, pose, "its repetition", other, None)
         return pose, remarks
 
 
@@ -187,8 +179,8 @@ def calibration_of(transforms: Sequence[Edge], reading: Reading, where: Path) ->
         hint = "give the file of all transforms between them: ros2 topic echo --once /tf_static"
         raise InputError(f"no transforms connect {lidar} and {camera}", expected="a chain of them", got=got, hint=hint)
     pose, remarks = posed
-    optical_from_camera, _ = optical_from(camera, reading.camera_axes)
-    remarks = (*remarks, *axes_remark(camera, reading.camera_axes, "FILE?camera_axes", where))
+    optical_from_camera, _ = frame_names.optical_from(camera, reading.camera_axes)
+    remarks = (*remarks, *frame_names.axes_remark(camera, reading.camera_axes, "FILE?camera_axes", where))
     quaternion = any(edge.quaternion for edge in transforms)
     return Calibration(None, optical_from_camera @ pose, lidar, camera, remarks, quaternion=quaternion)
 
@@ -236,7 +228,9 @@ def _distinct(tree: FrameTree, names: Collection[str], is_body_of: Callable[[Fra
     """Return the frames of different sensors: without frames that are the body of another frame."""
     if len(names) > _MAX_CANDIDATES:
         return list(names)
-    pairs = [(name, other) for name in names for other in names if name != other and may_be_body_of(name, other)]
+    pairs = [
+        (name, other) for name in names for other in names if name != other and frame_names.may_be_body_of(name, other)
+    ]
     bodies = {name for name, other in pairs if is_body_of(tree, name, other)}
     kept = [name for name in names if name not in bodies]
     return kept or list(names)

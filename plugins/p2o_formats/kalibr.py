@@ -70,11 +70,8 @@ def _kalibr(camera: Camera) -> tuple[str, tuple[float, ...], str, tuple[float, .
 
 
 def _cameras(source: Source) -> dict[str, Mapping[str, Any]]:
-    return {
-        str(name): value
-        for name, value in source.tree.items()
-        if isinstance(value, Mapping) and "camera_model" in value and "intrinsics" in value
-    }
+    entries = {str(name): value for name, value in source.tree.items() if isinstance(value, Mapping)}
+    return {name: value for name, value in entries.items() if "camera_model" in value and "intrinsics" in value}
 
 
 def recognises(source: Source) -> bool:
@@ -106,15 +103,14 @@ def _extrinsic(
     """Return camera_from_lidar (4, 4) of a camera, through the previous cameras if they have it, and remarks."""
     names, link = list(cameras), np.eye(4)
     remarks: tuple[str, ...] = ()
-    for number in range(names.index(name), -1, -1):
-        entry = cameras[names[number]]
-        pose, more = named_transform(entry, where, names[number])
+    for key in reversed(names[: names.index(name) + 1]):
+        pose, more = named_transform(cameras[key], where, key)
         remarks += more
         if pose is not None:
             return link @ pose, remarks
-        if "T_cn_cnm1" not in entry:
+        if "T_cn_cnm1" not in cameras[key]:
             break
-        step, more = read_pose(f"{names[number]}.T_cn_cnm1", entry["T_cn_cnm1"], where)
+        step, more = read_pose(f"{key}.T_cn_cnm1", cameras[key]["T_cn_cnm1"], where)
         link, remarks = link @ step, remarks + more
     return None, ()
 

@@ -34,9 +34,7 @@ class KittiCalibration:
 
     def remarks(self, extrinsic: Float) -> tuple[str, ...]:
         """Return what is unlikely about the file and the extrinsic (4, 4) in it, as warnings."""
-        remarks: tuple[str, ...] = (
-            () if self.ends_line else (f"{self.path}: the last line has no line end: is the file truncated?",)
-        )
+        remarks = (f"{self.path}: the last line has no line end: is the file truncated?",) * (not self.ends_line)
         return remarks + far_apart(self.path, extrinsic)
 
     def numbers(self, key: str, shape: tuple[int, ...]) -> Float:
@@ -54,8 +52,7 @@ class KittiCalibration:
         """Return width and height of an image in pixels; raises InputError unless they are positive integers."""
         width, height = self.numbers(key, (2,)).tolist()
         if not all(value.is_integer() and 0 < value <= _MAX_VALUE for value in (width, height)):
-            fault = f"{key} is not an image size"
-            got = f"{width:g} {height:g}"
+            fault, got = f"{key} is not an image size", f"{width:g} {height:g}"
             raise InputError(fault, where=self.path, expected="width and height in whole pixels", got=got)
         return int(width), int(height)
 
@@ -65,12 +62,13 @@ class KittiCalibration:
         Raises InputError if the rotation is not orthonormal or mirrors space.
         """
         translation = None if translation_key is None else self.numbers(translation_key, (3,))
-        return self._checked(rotation_key, se3.make(self.numbers(rotation_key, (3, 3)), translation))
+        matrix = se3.make(self.numbers(rotation_key, (3, 3)), translation)
+        return se3.check_rigid(rotation_key, matrix, where=self.path)
 
     def rigid_12(self, key: str) -> Float:
         """Return the transform (4, 4) of 12 numbers [R | t]; raises InputError as `rigid`."""
         both = self.numbers(key, (3, 4))
-        return self._checked(key, se3.make(both[:, :3], both[:, 3]))
+        return se3.check_rigid(key, se3.make(both[:, :3], both[:, 3]), where=self.path)
 
     def projection(self, key: str) -> Float:
         """Return the projection (3, 4) of a rectified camera.
@@ -79,8 +77,7 @@ class KittiCalibration:
         """
         matrix = self.numbers(key, (3, 4))
         if min(matrix[0, 0], matrix[1, 1]) < 1 or np.abs(matrix).max() > _MAX_VALUE or not is_intrinsic(matrix[:, :3]):
-            fault = f"{key} is not the projection of a rectified camera"
-            got = self.lines[key].strip()[:120]
+            fault, got = f"{key} is not the projection of a rectified camera", self.lines[key].strip()[:120]
             raise InputError(fault, where=self.path, expected="fx 0 cx ., 0 fy cy ., 0 0 1 .", got=got)
         return matrix
 
@@ -91,9 +88,6 @@ class KittiCalibration:
         with naming(self.path):
             model, params = colmap_model("plumb_bob", d.tolist(), pinhole)
             return Camera(model, *size, params), remarks
-
-    def _checked(self, key: str, matrix: Float) -> Float:
-        return se3.check_rigid(key, matrix, where=self.path)
 
 
 def far_apart(where: object, extrinsic: Float) -> tuple[str, ...]:

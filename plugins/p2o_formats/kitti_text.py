@@ -24,8 +24,6 @@ _LINE = re.compile(
     r"^(?:(?:Tr_velo_to_cam|Tr_velo_cam|Tr|R|P[0-3]|P_rect_0[0-3]|K_0[0-3]):|(?:Tr_velo_cam|R_rect) +[-+\d.])",
     re.MULTILINE,
 )
-
-
 _CAMERA = re.compile(r"(?:P|P_rect_0|K_0)([0-3])")
 
 
@@ -35,18 +33,16 @@ class KittiOptions(Options):
     layout: Layout = field("object", help="Data set of KITTI whose layout the file has.")
 
 
-def calibration_text(camera_from_lidar: Float, layout: Layout) -> str:
-    """Return the lines "key: numbers" of a transform (4, 4) in a layout; those of tracking have no colon."""
-    rotation, translation, both = camera_from_lidar[:3, :3], camera_from_lidar[:3, 3], camera_from_lidar[:3]
-    layouts = {"object": {"R0_rect:": np.eye(3), "Tr_velo_to_cam:": both}, "raw": {"R:": rotation, "T:": translation}}
-    layouts |= {"odometry": {"Tr:": both}, "tracking": {"R_rect": np.eye(3), "Tr_velo_cam": both}}
-    lines = layouts[layout]
-    return "".join(f"{key} {' '.join(f'{v:.16e}' for v in values.ravel())}\n" for key, values in lines.items())
-
-
 def write(calibration: Calibration, options: KittiOptions) -> bytes:
-    """Return the text; the keys state the direction, because KITTI's readers do not accept comments."""
-    return calibration_text(calibration.extrinsic(), options.layout).encode()
+    """Return the lines "key: numbers" of a layout; those of tracking have no colon.
+
+    The keys state the direction, because KITTI's readers do not accept comments.
+    """
+    both = calibration.extrinsic()[:3]
+    layouts = {"object": {"R0_rect:": np.eye(3), "Tr_velo_to_cam:": both}, "raw": {"R:": both[:, :3], "T:": both[:, 3]}}
+    layouts |= {"odometry": {"Tr:": both}, "tracking": {"R_rect": np.eye(3), "Tr_velo_cam": both}}
+    lines = layouts[options.layout].items()
+    return "".join(f"{key} {' '.join(f'{v:.16e}' for v in values.ravel())}\n" for key, values in lines).encode()
 
 
 def recognises(source: Source) -> bool:
@@ -77,8 +73,9 @@ def read(source: Source, reading: Reading) -> Calibration:
     width, height = lines.size(size_key) if size_key in lines.lines else (None, None)
     size = size_of(width, height, reading, source.path)
     extrinsic = _extrinsic(lines, lines.projection(keys[0]) if keys[0] in lines.lines else None)
-    if size is None or not any(key in lines.lines for key in keys):
-        return Calibration(None, extrinsic, lacks_image_size=any(key in lines.lines for key in keys))
+    has_camera = any(key in lines.lines for key in keys)
+    if size is None or not has_camera:
+        return Calibration(None, extrinsic, lacks_image_size=has_camera)
     if rectified is not None:
         projection = lines.projection(rectified)
         remarks = skew_remarks(rectified, projection[:, :3], size[1], source.path)
@@ -88,17 +85,13 @@ def read(source: Source, reading: Reading) -> Calibration:
 
 
 def _extrinsic(lines: KittiCalibration, projection: Float | None) -> Float | None:
-    known = lines.lines
-    velo = next((key for key in ("Tr_velo_to_cam", "Tr_velo_cam", "Tr") if key in known), None)
-    if velo is not None:
-        pose = lines.rigid_12(velo)
-        rectifying = next((key for key in ("R0_rect", "R_rect") if key in known), None)
-        if rectifying is not None and velo != "Tr":
-            pose = lines.rigid(rectifying) @ pose
-    elif {"R", "T"} <= known.keys():
-        return lines.rigid("R", "T")
-    else:
-        return None
+    velo = next((key for key in ("Tr_velo_to_cam", "Tr_velo_cam", "Tr") if key in lines.lines), None)
+    if velo is None:
+        return lines.rigid("R", "T") if {"R", "T"} <= lines.lines.keys() else None
+    pose = lines.rigid_12(velo)
+    rectifying = next((key for key in ("R0_rect", "R_rect") if key in lines.lines), None)
+    if rectifying is not None and velo != "Tr":
+        pose = lines.rigid(rectifying) @ pose
     return pose if projection is None else np.asarray(rectified_extrinsic(projection, pose))
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import re
+from dataclasses import replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -20,7 +21,6 @@ from p2o_formats.frame_names import is_camera, is_lidar
 _DIRECTION = re.compile(r"^\s*#.*?\bdirection:\s*(camera_from_lidar|lidar_from_camera)\b", re.MULTILINE)
 _NUMBERS = re.compile(r"[-+0-9.eEnaifNIF\s]+")
 _NAMED = re.compile(r"(?P<a>[a-z]+)\d*_?(?P<word>to|from)_?(?P<b>[a-z]+)|^T_(?P<to>[a-z]+)\d*_(?P<of>[a-z]+)\d*$")
-
 
 Direction = Literal["camera_from_lidar", "lidar_from_camera"]
 
@@ -108,11 +108,10 @@ def _named_direction(stem: str) -> Direction | None:
     """Return the direction that a file name states, as calib_cam_to_velo (KITTI-360) or T_lidar_camera, or None."""
     for match in _NAMED.finditer(stem):
         a, b = (match["to"], match["of"]) if match["to"] else (match["a"], match["b"])
-        if match["word"] == "to":
-            a, b = b, a
-        if is_camera(a) and is_lidar(b):
+        to, of = (b, a) if match["word"] == "to" else (a, b)
+        if is_camera(to) and is_lidar(of):
             return "camera_from_lidar"
-        if is_lidar(a) and is_camera(b):
+        if is_lidar(to) and is_camera(of):
             return "lidar_from_camera"
     return None
 
@@ -131,15 +130,12 @@ NPY_FORMAT = Format(
     write=write_npy,
 )
 
-TEXT_FORMAT = Format(
+TEXT_FORMAT = replace(
+    NPY_FORMAT,
     name="matrix",
     summary="4 rows of 4 numbers as text, for numpy.loadtxt, with the direction in a comment.",
     rank=90,
-    holds=ONLY_EXTRINSIC,
-    direction="camera_from_lidar, or lidar_from_camera with direction=",
     suffix=".txt",
-    options=MatrixOptions,
-    fields=frozenset({"direction"}),
     recognises=recognises_text,
     read=read_text_matrix,
     write=write_text,

@@ -14,19 +14,10 @@ from typing import Any
 from p2o import InputError, Options, field
 from p2o.reading import Calibration, FrameName, Reading, Source, matrix_rows, read_pose
 
+from p2o_formats import format as common
 from p2o_formats.camera_entry import lens_of, unsupported_model
 from p2o_formats.camera_info import lens_from_matrix
-from p2o_formats.format import (
-    FRAMES,
-    NAMED_SIZE,
-    ONLY_CAMERA,
-    ONLY_EXTRINSIC,
-    Format,
-    data_of,
-    described,
-    json_text,
-    size_of,
-)
+from p2o_formats.format import FRAMES, NAMED_SIZE, ONLY_CAMERA, ONLY_EXTRINSIC, Format, data_of, described
 from p2o_formats.frame_tree import Edge, calibration_of
 
 
@@ -63,7 +54,7 @@ def _json(key: str, names: tuple[str, str], device: str, comment: str, param: Ma
     """Return the JSON text of one entry; its key ends in the type of the parameters."""
     entry = {"sensor_name": names[0], "target_sensor_name": names[1], "device_type": device}
     entry |= {"param_type": key.rpartition("-")[2], "comment": comment}
-    return json_text({key: {**entry, "param": param}})
+    return common.json_text({key: {**entry, "param": param}})
 
 
 def _matrix(values: Any) -> dict[str, Any]:
@@ -111,7 +102,7 @@ def read_camera(source: Source, reading: Reading) -> Calibration:
     _, entry = _only(_entries(source, "intrinsic"), reading, source)
     matrix, d = (data_of(entry["param"].get(key)) for key in ("cam_K", "cam_dist"))
     width, height = (entry["param"].get(key) for key in ("img_dist_w", "img_dist_h"))
-    size = size_of(width, height, reading, source.path)
+    size = common.size_of(width, height, reading, source.path)
     if size is None:
         return Calibration(lacks_image_size=True)
     model = "equidistant" if "fisheye" in str(entry.get("device_type", "")).lower() else None

@@ -95,18 +95,16 @@ def _pose(name: str, value: Any, source: Source) -> tuple[list[list[float]], tup
     """Return the matrix of a pose that may be given in several forms, and remarks."""
     several = isinstance(value, Mapping) and "translation_m" in value
     forms = [key for key in _FORMS if several and key in value]
-    if several and "matrix" in value:
-        others = {key: part for key, part in value.items() if key not in (*_FORMS, "matrix", "translation_m")}
-        parts = [{**others, "translation_m": value["translation_m"], key: value[key]} for key in forms]
-        parts = [value["matrix"], *parts]
-    elif several and len(forms) > 1:
-        parts = [{"translation_m": value["translation_m"], key: value[key]} for key in forms]
-    else:
-        parts = [value]
-    poses = [read_pose(name, part, source.path) for part in parts]
-    for (pose, _), form in zip(poses[1:], forms[-len(poses) + 1 :] if len(poses) > 1 else (), strict=True):
-        check_same(name, poses[0][0], f"its {form}", pose, source.path)
-    return poses[0][0].tolist(), poses[0][1]
+    parts = {"": value}
+    if several and ("matrix" in value or len(forms) > 1):
+        # Unknown keys beside a matrix are refused with its other forms.
+        others = {key: part for key, part in value.items() if "matrix" in value and key not in (*_FORMS, "matrix")}
+        parts = {key: {**others, "translation_m": value["translation_m"], key: value[key]} for key in forms}
+        parts = {"": value["matrix"], **parts} if "matrix" in value else parts
+    (pose, remarks), *poses = [read_pose(name, part, source.path) for part in parts.values()]
+    for form, (other, _) in zip(list(parts)[1:], poses, strict=True):
+        check_same(name, pose, f"its {form}", other, source.path)
+    return pose.tolist(), remarks
 
 
 FORMAT = Format(

@@ -31,17 +31,12 @@ def read(source: Source, reading: Reading) -> Calibration:
     entries = [source.tree] if _is_result(source.tree) else [v for v in source.tree["results"] if _is_result(v)]
     wanted = [e for e in entries if not reading.name or reading.name in (e.get("camera"), *_names(e))]
     if len(wanted) != 1:
-        raise InputError(
-            f"{len(wanted) or 'none'} of {len(entries)} results match",
-            where=source.path,
-            expected="FILE#NAME of a frame or a camera",
-            got=reading.name or None,
-        )
+        fault, expected = f"{len(wanted) or 'none'} of {len(entries)} results match", "FILE#NAME of a frame or a camera"
+        raise InputError(fault, where=source.path, expected=expected, got=reading.name or None)
     result = result_from_dict(wanted[0])
     if not result.status.solved:
-        fault = "the result has no estimated pose"
-        expected = "a solved calibration"
-        raise InputError(fault, where=source.path, expected=expected, got=f"{result.status.value} ({result.reason})")
+        fault, got = "the result has no estimated pose", f"{result.status.value} ({result.reason})"
+        raise InputError(fault, where=source.path, expected="a solved calibration", got=got)
     remarks = () if result.verdict.trusted else (f"{source.path}: the result is {result.verdict.trust}",)
     return Calibration(result.intrinsics, result.camera_from_lidar, remarks=remarks, comment=provenance(result))
 

@@ -73,14 +73,11 @@ def edges(source: Source, reading: Reading) -> list[Edge]:
     else:
         transforms = list(_of_python(text, source.path) or _of_yaml(source) or _of_shell(source))
     if reading.direction and not _ECHO.search(text):
-        fault, hint = "the frames of the file state the direction of its transforms", "omit direction"
-        raise InputError(
-            fault, where=source.path, expected="lidar_frame, camera_frame", got=reading.direction, hint=hint
-        )
+        fault, expected = "the frames of the file state the direction of its transforms", "lidar_frame, camera_frame"
+        raise InputError(fault, where=source.path, expected=expected, got=reading.direction, hint="omit direction")
     if not transforms:
-        raise InputError(
-            "the file has no transform", where=source.path, expected=f"{PUBLISHER} --x ... --qw, or joints"
-        )
+        expected = f"{PUBLISHER} --x ... --qw, or joints"
+        raise InputError("the file has no transform", where=source.path, expected=expected)
     return transforms[:_MAX_EDGES]
 
 
@@ -134,10 +131,8 @@ def _of_yaml(source: Source) -> list[Edge]:
         for entry in (entry for entry in level if isinstance(entry, dict)):
             if "name" in entry and ("default" in entry or "value" in entry):
                 values[str(entry["name"])] = str(entry.get("default", entry.get("value")))
-        nodes = [
-            entry for entry in level if isinstance(entry, dict) and PUBLISHER in (entry.get("exec"), entry.get("type"))
-        ]
-        arguments += [str(node.get("args", "")) for node in nodes]
+            if PUBLISHER in (entry.get("exec"), entry.get("type")):
+                arguments.append(str(entry.get("args", "")))
         parts = [[v for k, v in p.items() if k != "include"] if isinstance(p, dict) else p for p in level]
         level = [inner for part in parts if isinstance(part, list) for inner in part]
     return [edge for text in arguments for edge in _publisher(_words(substituted(text, values)), source.path)]
@@ -159,11 +154,9 @@ def _publisher(words: Sequence[str], path: Path) -> Iterator[Edge]:
     if not words or not (words[0].startswith("--") or _is_value(words[0])):
         return
     arguments = (_named if any(word.startswith("--") for word in words) else _positional)(words, path)
-    missing = [f"--{key}" for key in FRAMES if key not in arguments]
+    missing = " and ".join(f"--{key}" for key in FRAMES if key not in arguments)
     if missing:
-        raise InputError(
-            "a transform has no frames", where=path, expected=" and ".join(missing), got=" ".join(words)[:200]
-        )
+        raise InputError("a transform has no frames", where=path, expected=missing, got=" ".join(words)[:200])
     pose = partial(_posed, arguments, path)
     yield Edge(arguments[FRAMES[0]], arguments[FRAMES[1]], pose, quaternion=QUATERNION[0] in arguments)
 
@@ -195,11 +188,14 @@ def _positional(words: Sequence[str], path: Path) -> dict[str, str]:
 
 def _is_value(word: str) -> bool:
     """Return whether a word is a number, or an expression that may be one."""
+    return "$" in word or _number(word) is not None
+
+
+def _number(word: str) -> float | None:
     try:
-        float(word)
+        return float(word)
     except ValueError:
-        return "$" in word
-    return True
+        return None
 
 
 def _posed(arguments: Mapping[str, str], path: Path) -> Posed:
@@ -213,11 +209,8 @@ def _posed(arguments: Mapping[str, str], path: Path) -> Posed:
 
 
 def _float(text: str, name: str, path: Path) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = np.nan
-    if not np.isfinite(value):
+    value = _number(text)
+    if value is None or not np.isfinite(value):
         hint = "write the value into the file: it has no default in it" if "$" in text else None
         fault = f"{name} is not a number"
         raise InputError(fault, where=path, expected="a finite number", got=repr(text)[:80], hint=hint)
@@ -313,15 +306,12 @@ def _joint(joint: ElementTree.Element, origin: Mapping[str, str], path: Path) ->
         fault, expected = f"the origin of joint {name} is a block of a macro of xacro", "an origin with numbers"
         raise InputError(fault, where=path, expected=expected, hint=_EXPAND)
     if joint.get("type", "fixed") != "fixed":
-        fault, hint = (
-            f"joint {name} between LiDAR and camera is not fixed",
-            ("write the transform at its position in the recording to a file: ros2 run tf2_ros tf2_echo LIDAR CAMERA"),
-        )
+        fault = f"joint {name} between LiDAR and camera is not fixed"
+        hint = "write the transform at its position in the recording to a file: ros2 run tf2_ros tf2_echo LIDAR CAMERA"
         raise InputError(fault, where=path, expected="fixed joints", got=joint.get("type"), hint=hint)
     rotation = "quat_xyzw" if "quat_xyzw" in origin else "rpy"
     numbers = {}
-    for key in ("xyz", rotation):
-        text = origin.get(key, "0 0 0")
+    for key, text in ((key, origin.get(key, "0 0 0")) for key in ("xyz", rotation)):
         if "$" in text:
             fault = f"{key} of joint {name} is an expression of xacro"
             raise InputError(fault, where=path, expected="numbers", got=text, hint=_EXPAND)

@@ -9,12 +9,11 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import feather
 
-from .drive import car, mounted, picture, through, tilted, wxyz
+from .drive import OPTICAL, car, mounted, picture, through, tilted, wxyz
 
 LOG = "02678d04-cc9f-3148-9f95-1ba66347dff9"
 START_NS = 315_966_070_559_696_000
 SECOND = 1_000_000_000
-OPTICAL = np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 UPSIDE_DOWN = np.array([[-1, 0, 0], [0, 1, 0], [0, 0, -1]])
 EGO_FROM = {
     "ring_front_center": mounted(OPTICAL @ tilted((1, -2, 0.5)), 1.6, 0.0, 1.4),

@@ -11,6 +11,8 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 SPEED_M_S, TURN_RAD_S = 9.0, 0.3
+OPTICAL = np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
+"""Rotation of the optical frame of a camera that looks ahead, seen from the car: forward, left, up."""
 START = np.array([[0.6, -0.8, 0, 411.0], [0.8, 0.6, 0, 1180.0], [0, 0, 1, 3.0], [0, 0, 0, 1]])
 
 

@@ -7,11 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from .drive import car, mounted, picture, tilted
+from .drive import OPTICAL, car, mounted, picture, tilted
 
 DRIVE = "2013_05_28_drive_0000_sync"
 TURN_S = 0.1036
-OPTICAL = np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 # Mountings on the GPS/IMU unit, x forward, y right, z down there; here forward, left, up.
 BODY_FROM = {
     "image_00": mounted(OPTICAL @ tilted((0.5, -1, 0.3)), 0.9, 0.3, 1.2),

@@ -7,16 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import PIL.Image
 from p2o import Camera, se3
-from scipy.spatial.transform import Rotation
+
+from .drive import OPTICAL, picture, wxyz
 
 K = [[30.0, 0.0, 15.5], [0.0, 31.0, 11.5], [0.0, 0.0, 1.0]]
 CAMERA = Camera.pinhole(30, 31, 15.5, 11.5, 32, 24)
 START_US = 1_532_402_927_600_000
-FORWARD = [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]  # of a camera, seen from the car: x forward, y left, z up
 EGO_FROM = {
-    "CAM_FRONT": se3.make(FORWARD, [1.7, 0.0, 1.5]),
+    "CAM_FRONT": se3.make(OPTICAL, [1.7, 0.0, 1.5]),
     "CAM_BACK": se3.make([[0, 0, -1], [1, 0, 0], [0, -1, 0]], [0.0, 0.0, 1.5]),
     "LIDAR_TOP": se3.make([[0, 1, 0], [-1, 0, 0], [0, 0, 1]], [0.9, 0.0, 1.8]),
 }
@@ -32,11 +31,6 @@ def world_from_ego(time_us: int) -> Any:
 def points_of(time_us: int) -> Any:
     lidar_from_world = se3.inverse(world_from_ego(time_us) @ EGO_FROM["LIDAR_TOP"])
     return se3.apply(lidar_from_world, WORLD + [411, 1180, 0]).astype(np.float32)
-
-
-def quaternion(pose: Any) -> list[float]:
-    x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat().tolist()
-    return [w, x, y, z]
 
 
 class Tree:
@@ -57,7 +51,7 @@ class Tree:
             self.tables["sensor"].append({"token": f"sensor-{channel}", "channel": channel, "modality": modality})
             self.tables["calibrated_sensor"].append(
                 {"token": f"calibrated-{channel}", "sensor_token": f"sensor-{channel}"}
-                | {"translation": pose[:3, 3].tolist(), "rotation": quaternion(pose)}
+                | {"translation": pose[:3, 3].tolist(), "rotation": wxyz(pose)}
                 | {"camera_intrinsic": [] if modality == "lidar" else K}
             )
         for scene, first_us in (("s1", START_US), ("s2", START_US + 60_000_000)):
@@ -78,7 +72,7 @@ class Tree:
         pose = world_from_ego(time_us)
         self.tables["ego_pose"].append(
             {"token": f"pose-{token}", "timestamp": time_us}
-            | {"rotation": quaternion(pose), "translation": pose[:3, 3].tolist()}
+            | {"rotation": wxyz(pose), "translation": pose[:3, 3].tolist()}
         )
         self.tables["sample_data"].append(
             {"token": token, "sample_token": sample, "ego_pose_token": f"pose-{token}", "timestamp": time_us}
@@ -87,13 +81,13 @@ class Tree:
             | {"height": 0 if lidar else 24, "width": 0 if lidar else 32}
         )
         path = self.root / file
-        path.parent.mkdir(parents=True, exist_ok=True)
         if lidar:
+            path.parent.mkdir(parents=True, exist_ok=True)
             rows = np.zeros((len(WORLD), 5), np.float32)
             rows[:, :3], rows[:, 3], rows[:, 4] = points_of(time_us), np.arange(300) % 256, np.arange(300) % 32
             path.write_bytes(rows.tobytes())
         else:
-            PIL.Image.fromarray(np.full((24, 32, 3), time_us // 1000 % 256, np.uint8)).save(path)
+            picture(path, 32, 24, time_us // 1000 % 256)
 
     def write(self, version: str = "v1.0-mini") -> Path:
         folder = self.root / version

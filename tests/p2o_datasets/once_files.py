@@ -8,14 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from .drive import car, mounted, picture, through, tilted, walls, wxyz
+from .drive import OPTICAL, car, mounted, picture, through, tilted, walls, wxyz
 
 SEQUENCE = "000027"
 START_MS = 1_616_100_800_400
 SIZE = (96, 51)
 # The LiDAR's x points left, y back, z up; seen from the car (forward, left, up).
 CAR_FROM_LIDAR = mounted([[0, -1, 0], [1, 0, 0], [0, 0, 1]], 0.8, 0.0, 1.9)
-OPTICAL = np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 CAR_FROM = {
     "cam01": mounted(OPTICAL @ tilted((0.5, 1, -0.3)), 1.7, 0.1, 1.5),
     "cam09": mounted(tilted((0, 0, 180)) @ OPTICAL, -0.4, 0.0, 1.5),

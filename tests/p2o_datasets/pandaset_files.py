@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from .drive import car, mounted, picture, through, tilted, walls, wxyz
+from .drive import OPTICAL, car, mounted, picture, through, tilted, walls, wxyz
 
 SEQUENCE = "001"
 START_S = 1557539924.5
@@ -21,7 +21,6 @@ SIZE = (96, 54)
 LENS = {"fx": 62.0, "fy": 63.0, "cx": 47.3, "cy": 27.1}
 # The frame of the LiDAR's poses: x right, y ahead, z up.
 CAR_FROM_LIDAR = mounted([[0, 1, 0], [-1, 0, 0], [0, 0, 1]], 0.4, 0.0, 1.7)
-OPTICAL = np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 CAR_FROM = {
     "front_camera": mounted(OPTICAL @ tilted((0.5, 1, -0.3)), 1.0, 0.1, 1.5),
     "left_camera": mounted(tilted((0, 0, 90)) @ OPTICAL, 0.6, 0.4, 1.5),

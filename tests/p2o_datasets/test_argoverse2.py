@@ -14,9 +14,9 @@ from .argoverse2_files import BEAMS_DEG, EGO_FROM, FOCAL, LOG, START_NS, Log, me
 from .drive import SPEED_M_S, TURN_RAD_S, car, check_projection, pixels, through
 from .opened import opened, refused
 
-NO_ROWS = dict.fromkeys(("x", "y", "z", "intensity"), np.zeros(0)) | dict.fromkeys(
-    ("intensity", "laser_number", "offset_ns"), np.zeros(0, int)
-)
+NO_ROWS = dict.fromkeys(("x", "y", "z"), np.zeros(0))
+NO_ROWS |= dict.fromkeys(("intensity", "laser_number", "offset_ns"), np.zeros(0, int))
+POSES = "city_SE3_egovehicle.feather"
 dataset = partial(opened, "argoverse2")
 
 
@@ -101,17 +101,13 @@ def test_rings_that_do_not_tell_the_lidar_leave_a_remark(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("table", "change", "words"),
     [
-        ("city_SE3_egovehicle.feather", {"qw": None}, "the table of poses lacks a column; expected qw"),
-        ("city_SE3_egovehicle.feather", {"timestamp_ns": ["a"] * 9}, "column timestamp_ns has another type"),
-        (
-            "city_SE3_egovehicle.feather",
-            {"timestamp_ns": range(0, 9 * 10**9, 10**9)},
-            "there is no pose of the vehicle near",
-        ),
-        ("city_SE3_egovehicle.feather", {"timestamp_ns": [np.nan] * 9}, "column timestamp_ns has another type"),
-        ("city_SE3_egovehicle.feather", {"tx_m": [*[0.0] * 8, 1e5]}, "the vehicle jumps between two poses"),
-        ("city_SE3_egovehicle.feather", {"qw": [9.0] * 9}, "the pose of row 0 is invalid"),
-        ("city_SE3_egovehicle.feather", {"tx_m": [None, *[0.0] * 8]}, "column tx_m has empty cells"),
+        (POSES, {"qw": None}, "the table of poses lacks a column; expected qw"),
+        (POSES, {"timestamp_ns": ["a"] * 9}, "column timestamp_ns has another type"),
+        (POSES, {"timestamp_ns": range(0, 9 * 10**9, 10**9)}, "there is no pose of the vehicle near"),
+        (POSES, {"timestamp_ns": [np.nan] * 9}, "column timestamp_ns has another type"),
+        (POSES, {"tx_m": [*[0.0] * 8, 1e5]}, "the vehicle jumps between two poses"),
+        (POSES, {"qw": [9.0] * 9}, "the pose of row 0 is invalid"),
+        (POSES, {"tx_m": [None, *[0.0] * 8]}, "column tx_m has empty cells"),
         ("calibration/egovehicle_SE3_sensor.feather", {"qw": [np.nan] * 4}, "the pose of ring_front_center is invalid"),
         ("calibration/egovehicle_SE3_sensor.feather", {"sensor_name": list("abcd")}, "a sensor has no extrinsic"),
         ("calibration/intrinsics.feather", {"sensor_name": ["a", "b"]}, "a camera has no intrinsics"),
@@ -131,7 +127,7 @@ def test_wrong_tables_are_one_line_that_names_the_file(tmp_path: Path, table: st
     log = Log(tmp_path)
     root = log.write()
     content = {
-        "city_SE3_egovehicle.feather": log.poses,
+        POSES: log.poses,
         "calibration/egovehicle_SE3_sensor.feather": log.mountings,
         "calibration/intrinsics.feather": log.intrinsics,
     }.get(table, log.sweep(START_NS))

@@ -15,15 +15,9 @@ NAMES = ("x", "y", "z", "intensity", "ring", "time")
 def rows(columns: int, count: int = 240, *, seed: int = 3) -> np.ndarray:
     """Return points all around with whole intensities, as nuScenes has them, rings, and times of one turn."""
     rng = np.random.default_rng(seed)
-    return np.column_stack(
-        [
-            rng.uniform(-40, 40, (count, 2)),
-            rng.uniform(-2, 6, count),
-            rng.integers(0, 256, count),
-            np.arange(count) % 32,
-            np.linspace(0, 0.1, count),
-        ]
-    ).astype("<f4")[:, :columns]
+    points = [rng.uniform(-40, 40, (count, 2)), rng.uniform(-2, 6, count), rng.integers(0, 256, count)]
+    table = np.column_stack([*points, np.arange(count) % 32, np.linspace(0, 0.1, count)])
+    return table.astype("<f4")[:, :columns]
 
 
 def write(path: Path, values: np.ndarray) -> Path:
@@ -33,9 +27,7 @@ def write(path: Path, values: np.ndarray) -> Path:
 
 @pytest.mark.parametrize("columns", [4, 5, 6])
 @pytest.mark.parametrize("count", range(240, 252))
-def test_values_tell_how_long_rows_are_whatever_their_number_and_order(
-    tmp_path: Path, columns: int, count: int
-) -> None:
+def test_values_tell_how_long_rows_are(tmp_path: Path, columns: int, count: int) -> None:
     written = rows(columns, count)
     written = np.random.default_rng(0).permutation(written) if count % 2 else written
     cloud, warnings = read_cloud(write(tmp_path / "a.pcd.bin", written))
@@ -150,14 +142,6 @@ def test_coordinates_alone_are_not_called_truncated(tmp_path: Path, count: int) 
     assert (len(cloud), cloud.intensity, warnings) == (count, None, ())
     with pytest.raises(InputError, match=r"other columns, or is truncated; .*three numbers \(x y z\) fit"):
         read_cloud(path, columns=KITTI_COLUMNS)
-
-
-@pytest.mark.filterwarnings("error")
-def test_signalling_nans_are_dropped_without_a_warning_of_numpy(tmp_path: Path) -> None:
-    values = rows(4)
-    values.view("<u4")[0] = 0x7F800001
-    cloud, _ = read_cloud(write(tmp_path / "a.bin", values), columns=KITTI_COLUMNS)
-    assert np.array_equal(cloud.xyz, values[1:, :3])
 
 
 @pytest.mark.parametrize("dtype", ["<f4", "<f8", ">f4"])

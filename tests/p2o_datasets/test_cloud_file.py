@@ -21,6 +21,7 @@ def axes() -> dict[str, Any]:
     return dict(zip("xyz", points()[:, :3].T.copy(), strict=True))
 
 
+@pytest.mark.filterwarnings("error")
 def test_a_bin_file_gives_points_and_intensity_in_its_order_without_what_are_no_returns(tmp_path: Path) -> None:
     written = points()
     written[3, 0], written[4, 1], written[5, :3] = np.nan, np.inf, 0
@@ -32,10 +33,7 @@ def test_a_bin_file_gives_points_and_intensity_in_its_order_without_what_are_no_
     assert np.array_equal(cloud.xyz, valid[:, :3])
     assert np.array_equal(cloud.intensity, valid[:, 3])
     assert (cloud.ring, cloud.time_s) == (None, None)
-    assert warnings == (
-        "a.bin: 3 of 50 points dropped: NaN or infinite",
-        "a.bin: 1 of 50 points dropped: all zero",
-    )
+    assert warnings == ("a.bin: 3 of 50 points dropped: NaN or infinite", "a.bin: 1 of 50 points dropped: all zero")
 
 
 def test_an_npz_archive_gives_all_its_fields(tmp_path: Path) -> None:

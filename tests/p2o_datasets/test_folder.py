@@ -91,9 +91,7 @@ def test_a_folder_of_folders_is_a_dataset_of_frames(tmp_path: Path) -> None:
         ({"lidar_from_camera": se3.inverse(VELO_TO_CAM)[:3].tolist()}, ""),
     ],
 )
-def test_poses_come_as_matrix_or_as_quaternion_and_translation_in_both_directions(
-    tmp_path: Path, pose: Any, warning: str
-) -> None:
+def test_poses_are_matrices_or_quaternions_in_both_directions(tmp_path: Path, pose: Any, warning: str) -> None:
     found = frame(tmp_path, start=pose, truth=deepcopy(pose))
     assert np.allclose(found.start, VELO_TO_CAM, atol=1e-12)
     assert np.allclose(found.camera_from_lidar, VELO_TO_CAM, atol=1e-12)
@@ -253,7 +251,7 @@ def test_a_wrong_value_is_refused_by_its_key(tmp_path: Path, content: dict[str, 
         ),
     ],
 )
-def test_what_nothing_has_or_does_not_fit_together_is_refused_by_the_file(
+def test_what_does_not_fit_together_is_refused(
     tmp_path: Path, scan: Any, content: dict[str, Any], message: str
 ) -> None:
     with refused(message):
@@ -269,9 +267,7 @@ def test_what_nothing_has_or_does_not_fit_together_is_refused_by_the_file(
         ("depth.npy", np.array([{}], object), r"depth\.npy: this is not an \.npy file of numbers"),
     ],
 )
-def test_an_image_or_a_depth_map_that_does_not_fit_is_refused_by_name(
-    tmp_path: Path, name: str, pixels: Any, message: str
-) -> None:
+def test_images_and_depth_that_do_not_fit_are_refused(tmp_path: Path, name: str, pixels: Any, message: str) -> None:
     write_frame(tmp_path, **({"depth": name} if name == "depth.npy" else {}))
     cv2.imwrite(str(tmp_path / name), pixels) if name == "image.png" else np.save(tmp_path / name, pixels)
     with refused(message):
@@ -302,9 +298,7 @@ def test_a_pose_in_the_wrong_direction_is_refused_by_name(tmp_path: Path, key: s
         (times(0.0, 0.05, 0.1), {"image_time_s": 0.05, "time_s": 900.0, "sequence": "yard"}, [-0.05, 0, 0.05]),
     ],
 )
-def test_times_of_the_sweep_are_made_relative_to_the_image(
-    tmp_path: Path, scan: Any, content: dict[str, Any], expected: Any
-) -> None:
+def test_times_are_relative_to_the_image(tmp_path: Path, scan: Any, content: dict[str, Any], expected: Any) -> None:
     found = frame(tmp_path, scan, **content)
     assert found.time_s == content.get("time_s")
     if expected is None:
@@ -399,7 +393,7 @@ def test_a_target_that_is_none_is_refused_by_its_key(tmp_path: Path, target: Any
         ),
     ],
 )
-def test_times_rise_from_frame_to_frame_of_one_camera_and_sequence(
+def test_times_rise_from_frame_to_frame(
     tmp_path: Path, frames: list[tuple[str, str, float | None]], expected: list[Any]
 ) -> None:
     for name, (sequence, camera, time_s) in zip("abcd", frames, strict=False):

@@ -36,8 +36,6 @@ from .kitti_files import (
 from .opened import opened, refused
 
 STILL = "the sweep is raw, and the velocity of the vehicle is unknown"
-
-
 dataset = partial(opened, "kitti-raw")
 
 
@@ -219,9 +217,7 @@ def wrong_size(text: str) -> tuple[str, object]:
         ),
     ],
 )
-def test_a_file_that_is_wrong_or_missing_is_named_and_other_frames_are_read(
-    tmp_path: Path, file: str, content: Any, message: str
-) -> None:
+def test_a_file_that_is_wrong_or_missing_is_named(tmp_path: Path, file: str, content: Any, message: str) -> None:
     folder = write_raw_frame(write_day(tmp_path))
     write_raw_frame(folder.parent, frame=1)
     path = folder / file

@@ -84,9 +84,7 @@ def test_one_of_several_versions_is_chosen(tmp_path: Path) -> None:
         ("sample_data", "calibrated_sensor_token", "gone", "refers to a missing record"),
     ],
 )
-def test_records_that_are_wrong_are_one_line_that_names_the_table(
-    tmp_path: Path, table: str, key: str, value: Any, words: str
-) -> None:
+def test_records_that_are_wrong_are_one_line(tmp_path: Path, table: str, key: str, value: Any, words: str) -> None:
     tree = Tree(tmp_path)
     tree.tables[table][0][key] = value
     with refused(words):
@@ -136,9 +134,8 @@ def test_tables_that_are_no_lists_of_records_are_refused(tmp_path: Path, text: s
 def test_a_table_is_read_in_parts(tmp_path: Path) -> None:
     """Records cross the borders of the parts, and the memory of the records that are kept is the only one."""
     path = tmp_path / "ego_pose.json"
-    path.write_text(
-        json.dumps([{"token": str(number), "text": "ä" * 1000} for number in range(20_000)], ensure_ascii=False)
-    )
+    entries = [{"token": str(number), "text": "ä" * 1000} for number in range(20_000)]
+    path.write_text(json.dumps(entries, ensure_ascii=False))
     tracemalloc.start()
     tokens = list(by_token(tmp_path, "ego_pose", lambda token: token.endswith("77")))
     peak = tracemalloc.get_traced_memory()[1]

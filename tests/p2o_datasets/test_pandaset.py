@@ -50,7 +50,7 @@ def test_images_have_the_sweeps_of_their_numbers(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("camera", list(CAR_FROM))
 @pytest.mark.parametrize(("sensor", "kinds"), [("pandar64", (0,)), ("pandargt", (1,)), ("both", (0, 1))])
-def test_points_are_seen_where_the_toolkit_projects_them(
+def test_points_are_where_the_toolkit_projects_them(
     tmp_path: Path, camera: str, sensor: str, kinds: tuple[int, ...]
 ) -> None:
     drive = Drive(tmp_path)

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,10 +25,14 @@ def table(count: int = 40) -> np.ndarray:
     return out
 
 
-def header(encoding: str, count: int = 40) -> bytes:
+FIELDS = ("x y z _ intensity ring", "4 4 4 1 4 2", "F F F U F U", "1 1 1 4 1 1")
+
+
+def header(encoding: str, count: int = 40, layout: tuple[str, str, str, str] = FIELDS) -> bytes:
+    """Return a header with the words FIELDS, SIZE, TYPE and COUNT of a layout."""
+    words = "FIELDS {}\nSIZE {}\nTYPE {}\nCOUNT {}\n".format(*layout)
     return (
-        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z _ intensity ring\n"
-        "SIZE 4 4 4 1 4 2\nTYPE F F F U F U\nCOUNT 1 1 1 4 1 1\n"
+        f"# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\n{words}"
         f"WIDTH {count}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {count}\nDATA {encoding}\n"
     ).encode()
 
@@ -115,14 +120,8 @@ def test_damaged_lzf_is_refused_by_name(packed: bytes) -> None:
 
 
 # PointXYZIRT of PCL: four floats of coordinates, then fields by their size, 32 bytes in all.
-STRUCT = np.dtype(
-    {
-        "names": ["x", "y", "z", "intensity", "ring", "time"],
-        "formats": ["<f4", "<f4", "<f4", "<f4", "<u2", "<f4"],
-        "offsets": [0, 4, 8, 16, 20, 24],
-        "itemsize": 32,
-    }
-)
+NAMES, TYPES = ["x", "y", "z", "intensity", "ring", "time"], ["<f4", "<f4", "<f4", "<f4", "<u2", "<f4"]
+STRUCT = np.dtype({"names": NAMES, "formats": TYPES, "offsets": [0, 4, 8, 16, 20, 24], "itemsize": 32})
 
 
 def struct_rows(record: np.dtype, count: int = 40) -> np.ndarray:
@@ -135,18 +134,11 @@ def struct_rows(record: np.dtype, count: int = 40) -> np.ndarray:
     return out
 
 
-def struct_header(fields: str, size: str, kind: str, repeats: str, count: int = 40) -> bytes:
-    return (
-        f"VERSION 0.7\nFIELDS {fields}\nSIZE {size}\nTYPE {kind}\nCOUNT {repeats}\n"
-        f"WIDTH {count}\nHEIGHT 1\nPOINTS {count}\nDATA binary\n"
-    ).encode()
-
-
 ALIGNED = np.dtype([(name, STRUCT[name]) for name in STRUCT.names], align=True)
 
 
 @pytest.mark.parametrize(
-    ("fields", "size", "kind", "repeats"),
+    "layout",
     [
         ("x y z intensity ring _ time", "4 4 4 4 2 1 4", "F F F F U U F", "1 1 1 1 1 0 1"),
         ("x y z _ intensity ring _ time _", "4 4 4 1 4 2 1 4 1", "F F F U F U U F U", "1 1 1 4 1 1 2 1 4"),
@@ -156,11 +148,9 @@ ALIGNED = np.dtype([(name, STRUCT[name]) for name in STRUCT.names], align=True)
     ],
     ids=["aligned by a compiler alone", "right", "count 0", "one wrong", "left out"],
 )
-def test_padded_structs_are_read_whatever_the_header_says_of_their_padding(
-    tmp_path: Path, fields: str, size: str, kind: str, repeats: str
-) -> None:
-    rows = struct_rows(ALIGNED if fields == "x y z intensity ring _ time" else STRUCT)
-    (tmp_path / "a.pcd").write_bytes(struct_header(fields, size, kind, repeats) + rows.tobytes())
+def test_padded_structs_are_read_whatever_the_header_says_of_their_padding(tmp_path: Path, layout: Any) -> None:
+    rows = struct_rows(ALIGNED if layout[0] == "x y z intensity ring _ time" else STRUCT)
+    (tmp_path / "a.pcd").write_bytes(header("binary", layout=layout) + rows.tobytes())
     cloud, warnings = read_cloud(tmp_path / "a.pcd")
     assert np.array_equal(cloud.xyz, np.stack([rows[n] for n in "xyz"], axis=1))
     assert np.array_equal(cloud.intensity, rows["intensity"])
@@ -200,7 +190,7 @@ def ascii_file(old: bytes = b"", new: bytes = b"", count: int = -1) -> bytes:
         # More than the memory, before it is taken.
         (header("binary_compressed", 10**9) + struct.pack("<II", 4, 0) + b"abcd", "the compressed size"),
         (
-            struct_header("x y z _ intensity", "4 4 4 1 4", "F F F U F", "1 1 1 0 1") + bytes(40 * 57),
+            header("binary", layout=("x y z _ intensity", "4 4 4 1 4", "F F F U F", "1 1 1 0 1")) + bytes(40 * 57),
             r"the fields of the \.pcd file do not fill its points; .*16 bytes",
         ),
     ],

@@ -66,15 +66,12 @@ class Attack:
 
 @pytest.mark.parametrize("protocol", range(6))
 @pytest.mark.parametrize(("call", "text"), [(os.system, "touch {}"), (os.mkdir, "{}")])
-def test_a_pickle_that_runs_something_is_refused_and_runs_nothing(
-    tmp_path: Path, protocol: int, call: Any, text: str
-) -> None:
+def test_a_pickle_that_runs_something_runs_nothing(tmp_path: Path, protocol: int, call: Any, text: str) -> None:
     target = tmp_path / "run"
     data = pickle.dumps({"x": Attack(call, text.format(target))}, protocol)
-    with pytest.raises(InputError, match="other pickles are never loaded") as caught:
+    with refused("other pickles are never loaded"):
         read(tmp_path, data)
     assert not target.exists()
-    assert "\n" not in str(caught.value)
     pickle.loads(data)  # noqa: S301  (so that the attack is one)
     assert target.exists()
 
@@ -145,9 +142,7 @@ def test_tables_whose_parts_do_not_fit_are_one_line(tmp_path: Path, change: Any,
         read(tmp_path, pickled(columns, **change), ("x", "d"))
 
 
-def test_a_file_that_is_cut_off_or_unpacks_to_too_much_is_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_cut_off_or_too_large_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = gzip.compress(PICKLES["2.2.3, protocol 5"])
     with pytest.raises(InputError, match="the sweep is damaged or truncated"):
         read(tmp_path, whole[:-9])
@@ -167,9 +162,8 @@ def test_damage_anywhere_is_one_line_or_another_table_and_takes_little_memory(tm
         for _ in range(500):
             data = bytearray(rng.choice(samples))
             for _ in range(rng.choice((1, 2, 8))):
-                data[rng.randrange(len(data))] = rng.choice(
-                    (rng.randrange(256), rng.choice(b"\x00\xff(.cR\x93b\x81}]t"))
-                )
+                byte = rng.choice((rng.randrange(256), rng.choice(b"\x00\xff(.cR\x93b\x81}]t")))
+                data[rng.randrange(len(data))] = byte
             try:
                 found = read(tmp_path, bytes(data[: rng.randrange(len(data))] if rng.random() < 0.1 else data))
             except InputError as problem:

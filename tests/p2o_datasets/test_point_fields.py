@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from p2o import Float, InputError
+from p2o import InputError
 from p2o_datasets.bags.messages import read_message
 from p2o_datasets.bags.point_columns import columns_of
 from p2o_datasets.cloud_file import ReadPoints, read_fields, read_points
@@ -19,9 +19,7 @@ STAMP_NS = 1_700_000_000_123_456_789
 FORMATS = ("pcd-ascii", "pcd", "ply-ascii", "ply", "npz", "npy", "las", "bag")
 
 
-def after(
-    times: Any, image_ns: int = STAMP_NS, unit: Unit = "auto", usable: Any = None
-) -> tuple[Float | None, str | None]:
+def after(times: Any, image_ns: int = STAMP_NS, unit: Unit = "auto", usable: Any = None) -> tuple[Any, Any]:
     """Return the times of a bag in seconds after its image."""
     clock = PointClock(unit, image_ns, STAMP_NS, setting="--set data.point_times=")
     return clock.after_image(times, np.ones(len(times), bool) if usable is None else usable)
@@ -45,17 +43,15 @@ def written(folder: Path, form: str, columns: dict[str, Any]) -> Path:
     if kind == "pcd":
         codes = [column.dtype for column in columns.values()]
         types = " ".join({"f": "F", "u": "U", "i": "I"}[code.kind] for code in codes)
-        head = (
-            f"VERSION 0.7\nFIELDS {' '.join(columns)}\nSIZE {' '.join(str(c.itemsize) for c in codes)}\nTYPE {types}\n"
-        )
+        sizes = " ".join(str(code.itemsize) for code in codes)
+        head = f"VERSION 0.7\nFIELDS {' '.join(columns)}\nSIZE {sizes}\nTYPE {types}\n"
         head += f"WIDTH {len(table)}\nHEIGHT 1\nPOINTS {len(table)}\nDATA {'ascii' if text else 'binary'}\n"
         path.write_bytes(head.encode() + (rows.encode() if text else table.tobytes()))
     elif kind == "ply":
         words = {"f4": "float", "f8": "double", "u1": "uchar", "u2": "ushort", "u4": "uint", "i4": "int"}
         lines = [f"property {words[column.dtype.str[1:]]} {name}" for name, column in columns.items()]
-        head = "\n".join(
-            ["ply", f"format {'ascii' if text else 'binary_little_endian'} 1.0", f"element vertex {len(table)}", *lines]
-        )
+        start = f"ply\nformat {'ascii' if text else 'binary_little_endian'} 1.0\nelement vertex {len(table)}"
+        head = "\n".join([start, *lines])
         path.write_bytes(f"{head}\nend_header\n".encode() + (rows.encode() if text else table.tobytes()))
     elif kind == "npz":
         np.savez(path, xyz=np.stack([columns[axis] for axis in "xyz"], axis=1), **without_axes(columns))
@@ -127,9 +123,7 @@ def test_fields_are_found_by_all_names_in_every_format(tmp_path: Path, form: str
         *((form, 1e9, 1.7e9) for form in FORMATS if form != "npz"),
     ],
 )
-def test_times_of_any_unit_are_seconds_after_the_image_in_every_format(
-    tmp_path: Path, form: str, per: float, start_s: float
-) -> None:
+def test_times_of_any_unit_are_seconds_after_the_image(tmp_path: Path, form: str, per: float, start_s: float) -> None:
     columns = points()
     turn_s = np.linspace(0, 0.1, len(columns["x"]))
     times = (start_s + turn_s) * per if per < 1e9 else (start_s * 1e9 + np.rint(turn_s * 1e9))
@@ -147,9 +141,7 @@ def test_a_time_of_the_image_in_the_unit_of_the_points_is_understood_with_a_warn
 
 
 @pytest.mark.parametrize("span", [2.0, 1e-3, 1e12])
-def test_times_without_a_unit_are_refused_if_the_image_has_a_time_and_left_out_otherwise(
-    tmp_path: Path, span: float
-) -> None:
+def test_times_without_a_unit_are_refused_if_the_image_has_a_time(tmp_path: Path, span: float) -> None:
     columns = {**points(), "time": np.linspace(0, span, 960)}
     with pytest.raises(InputError, match=r"a\.pcd: the unit of the points' times is ambiguous; .*point_times: ns"):
         read(tmp_path, "pcd", columns)

@@ -125,9 +125,7 @@ def lines() -> list[str]:
 
 
 @pytest.mark.parametrize("line", lines())
-def test_the_commands_of_the_page_do_what_they_say(
-    tmp_path: Path, line: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_commands_of_the_page_work(tmp_path: Path, line: str, capsys: pytest.CaptureFixture[str]) -> None:
     name = next(name for name in ON_PAGE if f"{name}:/" in line)
     assert all(f"{one}:/" in "".join(lines()) for one in ON_PAGE)
     _, root = written(name, tmp_path)
@@ -142,9 +140,7 @@ def test_the_commands_of_the_page_do_what_they_say(
 
 
 @every_rig
-def test_a_run_of_the_rig_has_a_result_for_each_camera(
-    tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_has_a_result_for_each_camera(tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
     data_set, root = written(name, tmp_path)
     words = ["--set", f"data.cameras={','.join(RIGS[name].cameras)}", "--rig", "--perturb", "1deg 0.05m", "--json"]
     quick = ["--extractor", "canny/range-view", "--matcher", "nearest"]
@@ -155,7 +151,7 @@ def test_a_run_of_the_rig_has_a_result_for_each_camera(
 
 
 @every_rig
-def test_frames_are_asked_for_by_name_and_unknown_names_and_options_are_told_the_nearest(
+def test_unknown_names_and_options_are_told_the_nearest(
     tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     data_set, root = written(name, tmp_path)
@@ -173,9 +169,7 @@ def test_frames_are_asked_for_by_name_and_unknown_names_and_options_are_told_the
 
 
 @every_rig
-def test_every_frame_is_good_and_the_data_set_keeps_the_contract_of_its_slot(
-    tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_frames_are_good_and_keep_the_contract(tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
     data_set, root = written(name, tmp_path)
     cameras, count = ",".join(RIGS[name].cameras), RIGS[name].frames
     assert len(opened(data_set, root, cameras=cameras)) == count
@@ -231,9 +225,7 @@ def test_files_that_are_missing_empty_or_cut_off_are_one_line(tmp_path: Path, na
 
 
 @every_rig
-def test_folders_that_are_none_are_one_line_and_status_2(
-    tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_other_folders_are_one_line_and_status_2(tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "empty").mkdir()
     rig = RIGS[name]
     for folder, words in (

@@ -44,8 +44,6 @@ CAMERA = Camera.pinhole(20, 20, 7, 5, 16, 12)
 START_NS = 1_700_000_000_000_000_000
 AXES = [[0, -1, 0], [0, 0, -1], [1, 0, 0]]
 TRUTH = se3.exp(np.array([0.01, 0.02, -0.03, 0, 0, 0])) @ se3.make(AXES, [0.1, -0.2, -0.3])
-
-
 dataset = partial(opened, "ros")
 
 
@@ -421,9 +419,7 @@ def test_images_of_foxglove_are_those_of_ros(tmp_path: Path, form: str, kind: st
 
 
 @pytest.mark.parametrize("options", [[], ["--set", "data.image_topic=/image_raw"]])
-def test_video_is_refused_with_the_way_to_convert_it(
-    tmp_path: Path, options: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_video_is_refused_with_advice(tmp_path: Path, options: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     said = [m for m in drive(1) if m.topic != "/image_raw"]
     video = foxglove(compressed("/image_raw", START_NS, b"\0\0\0\1", "h264"), "CompressedVideo")
     path = write_bag(tmp_path, [*said, video])
@@ -433,9 +429,7 @@ def test_video_is_refused_with_the_way_to_convert_it(
     assert "decode it to sensor_msgs/CompressedImage (ros2 run image_transport republish)" in message
 
 
-def test_a_camera_that_differs_for_rectified_images_is_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_camera_that_differs_if_rectified_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rectified = np.array([18.0, 0, 6, 0, 0, 18, 4, 0, 0, 0, 1, 0])
     said = [m for m in drive(1) if m.topic != "/camera_info"]
     path = write_bag(tmp_path, [*said, camera_info("/camera_info", START_NS, CAMERA, p=rectified)])

@@ -4,12 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from p2o_datasets.velodyne_file import (
-    raise_elevation,
-    read_sweep,
-    rings_from_azimuth,
-    times_from_azimuth,
-)
+from p2o_datasets.velodyne_file import raise_elevation, read_sweep, rings_from_azimuth, times_from_azimuth
 
 from .kitti_files import sweep, write_sweep
 

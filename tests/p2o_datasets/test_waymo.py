@@ -32,8 +32,6 @@ from .waymo_files import (
 )
 
 NUMBER = {"FRONT": 1, "SIDE_LEFT": 4, "TOP": 1, "REAR": 5}
-
-
 dataset = partial(opened, "waymo")
 
 
@@ -134,9 +132,7 @@ def test_the_folder_above_gets_a_hint(tmp_path: Path) -> None:
         ("lidar", "range_image_return1.values", [0.0] * (4 * ROWS * COLUMNS), "has no returns"),
     ],
 )
-def test_wrong_rows_are_one_line_that_names_the_component(
-    tmp_path: Path, component: str, column: str, value: Any, words: str
-) -> None:
+def test_wrong_rows_are_one_line(tmp_path: Path, component: str, column: str, value: Any, words: str) -> None:
     segment = Segment(tmp_path)
     row = segment.components[component][0]
     row[next(name for name in row if name.endswith(column))] = value
@@ -161,7 +157,7 @@ def test_a_component_of_another_table_is_one_line_and_only_sweeps_of_top_have_po
         ("camera_image", "key.frame_timestamp_micros", float(START_US), "has another type; expected integers"),
     ],
 )
-def test_columns_of_another_type_are_refused(
+def test_columns_of_other_types_are_refused(
     tmp_path: Path, component: str, column: str, value: Any, words: str
 ) -> None:
     path = Segment(tmp_path).write() / component / f"{SEGMENT}.parquet"

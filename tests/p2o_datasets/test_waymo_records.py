@@ -94,9 +94,7 @@ def test_damage_anywhere_is_one_line_or_another_frame(tmp_path: Path) -> None:
         (b"\x12\x82\x10\x0a\xff\x0f" + bytes(2047), 1, "more than 1000 bytes of integers"),
     ],
 )
-def test_a_range_image_that_unpacks_to_too_much_is_refused(
-    tmp_path: Path, piece: bytes, count: int, words: str
-) -> None:
+def test_a_range_image_that_is_too_large_is_refused(tmp_path: Path, piece: bytes, count: int, words: str) -> None:
     segment = Segment(tmp_path)
     bomb = message(5, whole(1, 1), message(2, message(2, zlib.compress(piece * count, 1))))
     # Of several fields of one sensor the first counts.

@@ -74,42 +74,36 @@ class Segment:
         self.components: dict[str, list[dict[str, Any]]] = {
             "camera_calibration": [self.camera_calibration(number) for number in CAMERAS],
             "lidar_calibration": [self.lidar_calibration(number) for number in LIDARS],
-            "vehicle_pose": [
-                {
-                    **self.key(frame),
-                    "[VehiclePoseComponent].world_from_vehicle.transform": frame_pose(frame).ravel().tolist(),
-                }
-                for frame in self.frames
-            ],
+            "vehicle_pose": [self.vehicle_pose(frame) for frame in self.frames],
             "camera_image": [self.image(frame, number) for frame in self.frames for number in CAMERAS],
             "lidar": [self.sweep(frame, number) for frame in self.frames for number in LIDARS],
             "lidar_pose": [self.pixel_pose(frame) for frame in self.frames],
         }
 
-    def key(self, frame_us: int | None = None, **number: int) -> dict[str, Any]:
+    def row(self, component: str, values: dict[str, Any], frame_us: int | None = None, **number: int) -> dict[str, Any]:
+        """Return a row with the names of a component's columns."""
         frame = {} if frame_us is None else {"key.frame_timestamp_micros": frame_us}
-        return {"key.segment_context_name": self.name, **frame, **{f"key.{k}": v for k, v in number.items()}}
+        keys = {"key.segment_context_name": self.name, **frame, **{f"key.{k}": v for k, v in number.items()}}
+        return keys | {f"[{component}Component].{name}": value for name, value in values.items()}
+
+    def vehicle_pose(self, frame_us: int) -> dict[str, Any]:
+        pose = {"world_from_vehicle.transform": frame_pose(frame_us).ravel().tolist()}
+        return self.row("VehiclePose", pose, frame_us)
 
     def camera_calibration(self, number: int) -> dict[str, Any]:
-        prefix = "[CameraCalibrationComponent]"
-        return {
-            **self.key(camera_name=number),
-            **{f"{prefix}.intrinsic.{name}": value for name, value in LENS.items()},
-            f"{prefix}.extrinsic.transform": CAMERAS[number].ravel().tolist(),
-            f"{prefix}.width": WIDTH,
-            f"{prefix}.height": HEIGHT,
-            f"{prefix}.rolling_shutter_direction": 2,
-        }
+        values = {f"intrinsic.{name}": value for name, value in LENS.items()}
+        values |= {"extrinsic.transform": CAMERAS[number].ravel().tolist()}
+        values |= {"width": WIDTH, "height": HEIGHT, "rolling_shutter_direction": 2}
+        return self.row("CameraCalibration", values, camera_name=number)
 
     def lidar_calibration(self, number: int) -> dict[str, Any]:
-        prefix = "[LiDARCalibrationComponent]"
-        return {
-            **self.key(laser_name=number),
-            f"{prefix}.extrinsic.transform": LIDARS[number].ravel().tolist(),
-            f"{prefix}.beam_inclination.min": float(INCLINATIONS[0]) if number == 1 else -0.4,
-            f"{prefix}.beam_inclination.max": float(INCLINATIONS[-1]) if number == 1 else 0.2,
-            f"{prefix}.beam_inclination.values": INCLINATIONS.tolist() if number == 1 else None,
+        values = {
+            "extrinsic.transform": LIDARS[number].ravel().tolist(),
+            "beam_inclination.min": float(INCLINATIONS[0]) if number == 1 else -0.4,
+            "beam_inclination.max": float(INCLINATIONS[-1]) if number == 1 else 0.2,
+            "beam_inclination.values": INCLINATIONS.tolist() if number == 1 else None,
         }
+        return self.row("LiDARCalibration", values, laser_name=number)
 
     def image(self, frame_us: int, number: int) -> dict[str, Any]:
         jpeg = io.BytesIO()
@@ -118,34 +112,23 @@ class Segment:
         opened_s = frame_us * 1e-6 + 0.03 + 0.01 * number
         pose = car(opened_s + 0.01 - START_US * 1e-6)
         linear = pose[:3, :3] @ [SPEED_M_S, 0, 0.2]
-        prefix = "[CameraImageComponent]"
-        return {
-            **self.key(frame_us, camera_name=number),
-            f"{prefix}.image": jpeg.getvalue(),
-            f"{prefix}.pose.transform": pose.ravel().tolist(),
-            **{f"{prefix}.velocity.linear_velocity.{axis}": v for axis, v in zip("xyz", linear.tolist(), strict=True)},
-            **{
-                f"{prefix}.velocity.angular_velocity.{axis}": v
-                for axis, v in zip("xyz", (0.0, 0.0, TURN_RAD_S), strict=True)
-            },
-            f"{prefix}.pose_timestamp": opened_s + 0.01,
-            f"{prefix}.rolling_shutter_params.shutter": SHUTTER_S,
-            f"{prefix}.rolling_shutter_params.camera_trigger_time": opened_s,
-            f"{prefix}.rolling_shutter_params.camera_readout_done_time": opened_s + SHUTTER_S + READOUT_S,
+        values = {"image": jpeg.getvalue(), "pose.transform": pose.ravel().tolist()}
+        for kind, velocity in (("linear", linear.tolist()), ("angular", (0.0, 0.0, TURN_RAD_S))):
+            values |= {f"velocity.{kind}_velocity.{axis}": v for axis, v in zip("xyz", velocity, strict=True)}
+        values |= {
+            "pose_timestamp": opened_s + 0.01,
+            "rolling_shutter_params.shutter": SHUTTER_S,
+            "rolling_shutter_params.camera_trigger_time": opened_s,
+            "rolling_shutter_params.camera_readout_done_time": opened_s + SHUTTER_S + READOUT_S,
         }
+        return self.row("CameraImage", values, frame_us, camera_name=number)
 
     def sweep(self, frame_us: int, number: int) -> dict[str, Any]:
         pixels = np.zeros((ROWS, COLUMNS, 4), np.float32)
         pixels[..., 0], pixels[..., 1] = ranges(number, frame_us), 0.25
-        prefix = "[LiDARComponent].range_image_return"
-        return {
-            **self.key(frame_us, laser_name=number),
-            **{
-                f"{prefix}{which}.{part}": value
-                for which in (1, 2)
-                for part, value in (("values", pixels.ravel().tolist()), ("shape", list(pixels.shape)))
-            },
-        }
+        grid = {"values": pixels.ravel().tolist(), "shape": list(pixels.shape)}
+        values = {f"range_image_return{which}.{part}": value for which in (1, 2) for part, value in grid.items()}
+        return self.row("LiDAR", values, frame_us, laser_name=number)
 
     def pixel_pose(self, frame_us: int) -> dict[str, Any]:
         six = np.zeros((ROWS, COLUMNS, 6), np.float32)
@@ -153,12 +136,8 @@ class Segment:
             pose = car(float(time_of(frame_us, column)))
             yaw, pitch, roll = Rotation.from_matrix(pose[:3, :3]).as_euler("ZYX")
             six[:, column] = roll, pitch, yaw, *pose[:3, 3]
-        prefix = "[LiDARPoseComponent].range_image_return1"
-        return {
-            **self.key(frame_us, laser_name=1),
-            f"{prefix}.values": six.ravel().tolist(),
-            f"{prefix}.shape": list(six.shape),
-        }
+        values = {"range_image_return1.values": six.ravel().tolist(), "range_image_return1.shape": list(six.shape)}
+        return self.row("LiDARPose", values, frame_us, laser_name=1)
 
     def write(self) -> Path:
         for component, rows in self.components.items():

@@ -53,49 +53,44 @@ def record(data: bytes) -> bytes:
     return struct.pack("<QI", len(data), 0) + data + bytes(4)
 
 
+def rows(segment: Segment, component: str, frame_us: int | None = None) -> list[dict[str, Any]]:
+    """Return the rows of a component, or those of one frame, with columns without the prefix of the component."""
+    found = [{name.rpartition("].")[2]: value for name, value in row.items()} for row in segment.components[component]]
+    return [row for row in found if frame_us is None or row["key.frame_timestamp_micros"] == frame_us]
+
+
 def context(segment: Segment) -> bytes:
     cameras = [
         message(
-            2,
-            whole(1, row["key.camera_name"]),
-            *(double(2, row[f"[CameraCalibrationComponent].intrinsic.{name}"]) for name in LENS),
-            transform(3, row["[CameraCalibrationComponent].extrinsic.transform"]),
-            whole(4, row["[CameraCalibrationComponent].width"]),
-            whole(5, row["[CameraCalibrationComponent].height"]),
-            whole(6, row["[CameraCalibrationComponent].rolling_shutter_direction"]),
+            *(2, whole(1, row["key.camera_name"]), *(double(2, row[f"intrinsic.{name}"]) for name in LENS)),
+            transform(3, row["extrinsic.transform"]),
+            *(whole(4, row["width"]), whole(5, row["height"]), whole(6, row["rolling_shutter_direction"])),
         )
-        for row in segment.components["camera_calibration"]
+        for row in rows(segment, "camera_calibration")
     ]
     lidars = [
         message(
-            3,
-            whole(1, row["key.laser_name"]),
-            *(double(2, value) for value in row["[LiDARCalibrationComponent].beam_inclination.values"] or ()),
-            double(3, row["[LiDARCalibrationComponent].beam_inclination.min"]),
-            double(4, row["[LiDARCalibrationComponent].beam_inclination.max"]),
-            transform(5, row["[LiDARCalibrationComponent].extrinsic.transform"]),
+            *(3, whole(1, row["key.laser_name"]), *(double(2, v) for v in row["beam_inclination.values"] or ())),
+            *(double(number, row[f"beam_inclination.{end}"]) for number, end in ((3, "min"), (4, "max"))),
+            transform(5, row["extrinsic.transform"]),
         )
-        for row in segment.components["lidar_calibration"]
+        for row in rows(segment, "lidar_calibration")
     ]
     return message(1, message(1, segment.name.encode()), *cameras, *lidars)
 
 
 def image(row: dict[str, Any]) -> bytes:
-    prefix = "[CameraImageComponent]"
     velocity = [
-        *(single(i, row[f"{prefix}.velocity.linear_velocity.{axis}"]) for i, axis in enumerate("xyz", 1)),
-        *(double(i, row[f"{prefix}.velocity.angular_velocity.{axis}"]) for i, axis in enumerate("xyz", 4)),
+        *(single(i, row[f"velocity.linear_velocity.{axis}"]) for i, axis in enumerate("xyz", 1)),
+        *(double(i, row[f"velocity.angular_velocity.{axis}"]) for i, axis in enumerate("xyz", 4)),
+    ]
+    shutter = [
+        f"rolling_shutter_params.{name}" for name in ("shutter", "camera_trigger_time", "camera_readout_done_time")
     ]
     return message(
-        4,
-        whole(1, row["key.camera_name"]),
-        message(2, row[f"{prefix}.image"]),
-        transform(3, row[f"{prefix}.pose.transform"]),
+        *(4, whole(1, row["key.camera_name"]), message(2, row["image"]), transform(3, row["pose.transform"])),
         message(4, *velocity),
-        double(5, row[f"{prefix}.pose_timestamp"]),
-        double(6, row[f"{prefix}.rolling_shutter_params.shutter"]),
-        double(7, row[f"{prefix}.rolling_shutter_params.camera_trigger_time"]),
-        double(8, row[f"{prefix}.rolling_shutter_params.camera_readout_done_time"]),
+        *(double(number, row[name]) for number, name in enumerate(("pose_timestamp", *shutter), 5)),
     )
 
 
@@ -103,27 +98,17 @@ def frames(segment: Segment) -> list[bytes]:
     """Return the Frame messages of a segment."""
     found = []
     for number, time in enumerate(segment.frames):
-        images = [row for row in segment.components["camera_image"] if row["key.frame_timestamp_micros"] == time]
-        sweeps = [row for row in segment.components["lidar"] if row["key.frame_timestamp_micros"] == time]
-        [poses] = [row for row in segment.components["lidar_pose"] if row["key.frame_timestamp_micros"] == time]
-        lasers = []
-        for row in sweeps:
-            prefix = "[LiDARComponent].range_image_return1"
-            parts = matrix(2, row[f"{prefix}.values"], row[f"{prefix}.shape"])
+        images = b"".join(map(image, rows(segment, "camera_image", time)))
+        [poses] = rows(segment, "lidar_pose", time)
+        lasers = b""
+        for row in rows(segment, "lidar", time):
+            parts = matrix(2, row["range_image_return1.values"], row["range_image_return1.shape"])
             if row["key.laser_name"] == 1:
-                prefix = "[LiDARPoseComponent].range_image_return1"
-                parts += matrix(4, poses[f"{prefix}.values"], poses[f"{prefix}.shape"])
-            lasers.append(message(5, whole(1, row["key.laser_name"]), message(2, parts)))
-        pose = segment.components["vehicle_pose"][number]["[VehiclePoseComponent].world_from_vehicle.transform"]
+                parts += matrix(4, poses["range_image_return1.values"], poses["range_image_return1.shape"])
+            lasers += message(5, whole(1, row["key.laser_name"]), message(2, parts))
+        pose = transform(3, rows(segment, "vehicle_pose")[number]["world_from_vehicle.transform"])
         label = message(6, message(1, double(1, 3.0)), message(4, b"a label, which nobody asks for"))
-        found.append(
-            context(segment)
-            + whole(2, time)
-            + transform(3, pose)
-            + b"".join(map(image, images))
-            + b"".join(lasers)
-            + label
-        )
+        found.append(context(segment) + whole(2, time) + pose + images + lasers + label)
     return found
 
 

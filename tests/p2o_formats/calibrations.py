@@ -20,6 +20,13 @@ KITTI_LIKE = se3.make([[0, -1, 0], [0, 0, -1], [1, 0, 0]], [0.06, -0.08, -0.27])
 REGISTRY = Registry.load(["p2o-calib"], environ={})
 PINHOLE = Camera.pinhole(700, 701, 320.25, 119.75, 640, 240)
 
+SAMPLES = Path(__file__).with_name("samples")
+"""Files as other tools write them."""
+
+
+def sample(name: str) -> str:
+    return (SAMPLES / name).read_text(encoding="utf-8")
+
 
 def coordinates() -> st.SearchStrategy[float]:
     return st.floats(-50, 50, allow_nan=False)

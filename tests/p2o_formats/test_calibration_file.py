@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from p2o import Camera, InputError, Result, Status, se3
 from p2o.host.calibration_file import read_calibration_file
 from p2o.reading import Calibration, result_to_json
 from p2o.results.evidence import Accuracy
-from p2o_formats.formats import WRITTEN
+from p2o_formats.formats import FORMATS, WRITTEN
 from p2o_formats.kitti_calibration import read_calibration
 from p2o_formats.result_file import EXPORTER
 
@@ -43,9 +44,7 @@ FORMS = [(name, {}) for name in sorted(BY_NAME)] + [("ros2", {"form": form}) for
 
 
 @pytest.mark.parametrize(("name", "options"), FORMS, ids=str)
-def test_files_with_comments_state_verdict_and_predicted_error(
-    tmp_path: Path, name: str, options: dict[str, str]
-) -> None:
+def test_comments_state_verdict_and_predicted_error(tmp_path: Path, name: str, options: dict[str, str]) -> None:
     method, path = BY_NAME[name], tmp_path / "result.out"
     result = replace(RESULT, accuracy=Accuracy(0.21, 0.034, 0.5, 0.081))
     method.build(method.options(**options))(result, path)
@@ -69,3 +68,10 @@ def test_a_converted_result_keeps_the_comment(tmp_path: Path) -> None:
     path = tmp_path / "result.json"
     path.write_text(result_to_json(replace(RESULT, accuracy=Accuracy(0.21, 0.034, 0.5, 0.081))))
     assert read_calibration_file(path).comment == COMMENT
+
+
+def test_the_table_lists_every_form_with_what_it_holds() -> None:
+    page = (Path(__file__).parents[2] / "docs/how-to/export.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `([\w-]+)` \| (camera|extrinsic|camera, extrinsic|all of a result) \|", page, re.MULTILINE)
+    expected = {name: ", ".join(sorted(form.holds)) for name, form in FORMATS.items()} | {"json": "all of a result"}
+    assert dict(rows) == expected

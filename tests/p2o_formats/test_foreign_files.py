@@ -16,29 +16,9 @@ from p2o.results.result_json import result_to_json
 from p2o_formats.formats import FORMATS
 
 from tests.p2o_datasets.opened import refused
-from tests.p2o_formats.calibrations import KITTI_LIKE, PINHOLE, read_back, read_text, written
+from tests.p2o_formats.calibrations import KITTI_LIKE, PINHOLE, read_back, read_text, sample, written
 
-CAMCHAIN = """
-cam0:
-  cam_overlaps: [1]
-  camera_model: pinhole
-  distortion_coeffs: [-0.28, 0.07, 0.0002, 0.00002]
-  distortion_model: radtan
-  intrinsics: [458.6, 457.3, 367.2, 248.4]
-  resolution: [752, 480]
-  rostopic: /cam0/image_raw
-cam1:
-  T_cn_cnm1:
-  - [1.0, 0.0, 0.0, -0.11]
-  - [0.0, 1.0, 0.0, 0.0]
-  - [0.0, 0.0, 1.0, 0.0]
-  - [0.0, 0.0, 0.0, 1.0]
-  camera_model: pinhole
-  distortion_coeffs: [0.01, 0.02, 0.03, 0.04]
-  distortion_model: equidistant
-  intrinsics: [457.6, 456.1, 379.9, 255.2]
-  resolution: [752, 480]
-"""
+CAMCHAIN = sample("camchain.yaml")
 CHAIN = CAMCHAIN.replace("cam1:", "  T_cam_lidar: [0, -1, 0, 0.06, 0, 0, -1, -0.08, 1, 0, 0, -0.27, 0, 0, 0, 1]\ncam1:")
 OPENCV_JSON = json.dumps(
     {"image_width": 1280,
@@ -46,140 +26,19 @@ OPENCV_JSON = json.dumps(
      "T_cam_lidar": {"type_id": "opencv-matrix", "rows": 4, "cols": 4, "dt": "d",
                      "data": [0, -1, 0, 0.06, 0, 0, -1, -0.08, 1, 0, 0, -0.27, 0, 0, 0, 1]}}
 )  # fmt: skip
-OPENCV_XML = """<?xml version="1.0"?>
-<opencv_storage>
-<calibration_time>"Mon 01 Jan 2024"</calibration_time>
-<image_width>1280</image_width>
-<image_height>720</image_height>
-<camera_matrix type_id="opencv-matrix">
-  <rows>3</rows>
-  <cols>3</cols>
-  <dt>d</dt>
-  <data>
-    700. 0. 640. 0. 705.
-    360. 0. 0. 1.</data></camera_matrix>
-<distortion_coefficients type_id="opencv-matrix">
-  <rows>4</rows>
-  <cols>1</cols>
-  <dt>d</dt>
-  <data>
-    -2.8e-01 8.0e-02 1e-3 -2e-3</data></distortion_coefficients>
-</opencv_storage>
-"""
-CAMERA_INFO = """
-image_width: 1280
-image_height: 720
-camera_name: front
-camera_matrix:
-  rows: 3
-  cols: 3
-  data: [700., 0., 640., 0., 705., 360., 0., 0., 1.]
-distortion_model: plumb_bob
-distortion_coefficients:
-  rows: 1
-  cols: 5
-  data: [-0.28, 0.08, 0.001, -0.002, 0.0]
-rectification_matrix:
-  rows: 3
-  cols: 3
-  data: [1., 0., 0., 0., 1., 0., 0., 0., 1.]
-projection_matrix:
-  rows: 3
-  cols: 4
-  data: [690., 0., 641., 0., 0., 702., 361., 0., 0., 0., 1., 0.]
-"""
-ECHO = """
-header:
-  stamp: {sec: 1, nanosec: 2}
-  frame_id: camera_front_optical
-height: 720
-width: 1280
-distortion_model: equidistant
-d: [0.1, 0.01, 0.0, 0.0]
-k: [700.0, 0.0, 640.0, 0.0, 705.0, 360.0, 0.0, 0.0, 1.0]
-r: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
-p: [700.0, 0.0, 640.0, 0.0, 0.0, 705.0, 360.0, 0.0, 0.0, 0.0, 1.0, 0.0]
-binning_x: 0
-binning_y: 0
-roi: {x_offset: 0, y_offset: 0, height: 0, width: 0, do_rectify: false}
----
-"""
-KIT = """
-sensor_kit_base_link:
-  camera0/camera_link:
-    x: 0.10731
-    y: 0.56343
-    z: -0.27697
-    roll: -0.025
-    pitch: 0.315
-    yaw: 1.035
-  camera1/camera_link: {x: -0.1, y: -0.5, z: -0.2, roll: -0.02, pitch: 0.3, yaw: -2.1}
-  velodyne_top_base_link: {x: 0.0, y: 0.0, z: 0.0, roll: 0.0, pitch: 0.0, yaw: 1.575}
-  gnss_link: {x: -0.1, y: 0.0, z: -0.2, roll: 0.0, pitch: 0.0, yaw: 0.0}
-"""
+OPENCV_XML = sample("opencv.xml")
+CAMERA_INFO = sample("camera_info.yaml")
+ECHO = sample("camera_info_echo.yaml")
+KIT = sample("sensor_kit.yaml")
 JOINT = (
     '<robot><joint name="a" type="fixed"><parent link="velodyne"/><child link="camera_link"/>'
     '<origin xyz="0.3 0 0" rpy="0 0 0"/></joint></robot>'
 )
-LIVO_CONFIG = """
-extrin_calib:
-  extrinsic_T: [0.04165, 0.02326, -0.0284]
-  extrinsic_R: [1, 0, 0, 0, 1, 0, 0, 0, 1]
-  Rcl: [0.0, -1.0, 0.0,
-        0.0, 0.0, -1.0,
-        1.0, 0.0, 0.0]
-  Pcl: [0.06, -0.08, -0.27]
-"""
-LIVO_RESULT = """# FAST-LIVO2 calibration format
-cam_model: Pinhole
-cam_width: 1280
-cam_height: 1024
-scale: 0.5
-cam_fx: 1293.56944
-cam_fy: 1293.3155
-cam_cx: 626.91359
-cam_cy: 522.799224
-cam_d0: -0.076160
-cam_d1: 0.123001
-cam_d2: -0.00113
-cam_d3: 0.000251
-
-Rcl: [ 0.000000, -1.000000,  0.000000,
-       0.000000,  0.000000, -1.000000,
-       1.000000,  0.000000,  0.000000]
-Pcl: [ 0.060000, -0.080000, -0.270000]
-"""
-LIVO_FISHEYE = """
-cam_model: EquidistantCamera
-cam_width: 720
-cam_height: 540
-scale: 1.0
-cam_fx: 351.3
-cam_fy: 351.4
-cam_cx: 367.8
-cam_cy: 253.8
-k1: -0.037
-k2: -0.009
-k3: 0.009
-k4: -0.004
-"""
-CALIB_ANYTHING = """{
-  "cam_K": {"rows": 3, "cols": 3, "data": [[1200.0, 0, 960.5], [0, 1201.0, 540.25], [0, 0, 1]]},
-  "cam_dist": {"cols": 5, "data": [-0.1, 0.02, 0.001, -0.002, 0.0]},
-  "T_lidar_to_cam": {"rows": 4, "cols": 4,
-                     "data": [[0, -1, 0, 0.06], [0, 0, -1, -0.08], [1, 0, 0, -0.27], [0, 0, 0, 1]]},
-  "T_lidar_to_cam_gt": {"available": false, "rows": 0, "cols": 0, "data": []},
-  "img_folder": "images", "pc_folder": "pc", "img_format": ".png", "pc_format": ".pcd", "file_name": ["000000"],
-  "params": {"search_num": 4000}
-}"""
-TRACKING = """P0: 721.5377 0 609.5593 0 0 721.5377 172.854 0 0 0 1 0
-P2: 721.5377 0 609.5593 44.85728 0 721.5377 172.854 0.2163791 0 0 1 0.002745884
-R_rect 0.9999239 0.00983776 -0.007445048 -0.009869795 0.9999421 -0.004278459 0.007402527 0.004351614 0.9999631
-Tr_velo_cam 7.533745e-03 -0.9999714 -0.000616602 -0.004069766 0.01480249 0.0007280733 -0.9998902 -0.07631618 \
-0.9998621 0.00752379 0.01480755 -0.2717806
-Tr_imu_velo 0.9999976 0.0007553071 -0.002035826 -0.8086759 -0.0007854027 0.9998898 -0.01482298 0.3195559 \
-0.002024406 0.01482454 0.9998881 -0.7997231
-""".replace("\\\n", "")
+LIVO_CONFIG = sample("fast_livo.yaml")
+LIVO_RESULT = sample("fast_calib.txt")
+LIVO_FISHEYE = sample("vikit_fisheye.yaml")
+CALIB_ANYTHING = sample("calib_anything.json")
+TRACKING = sample("kitti_tracking.txt")
 AUTOWARE_AI = f"""%YAML:1.0
 ---
 CameraExtrinsicMat: !!opencv-matrix
@@ -200,12 +59,7 @@ DistCoeff: !!opencv-matrix
 ImageSize: [ 640, 480 ]
 DistModel: plumb_bob
 """
-KITTI_RAW = """S_02: 1392 512
-K_02: 900 0 700 0 900 250 0 0 1
-D_02: -0.3 0.1 0.001 0.001 -0.05
-S_rect_02: 1242 375
-P_rect_02: 700 0 600 40 0 700 180 0 0 0 1 0
-"""
+KITTI_RAW = sample("kitti_raw.txt")
 LIVO_SEVERAL = LIVO_RESULT.replace("\n\n", "\nRMSE: 0.0041 m\nScenes_used: 3\n")
 LIVO_TWO = LIVO_CONFIG.replace("extrin_calib", "left") + LIVO_CONFIG.replace("extrin_calib", "right").replace(
     "0.06", "0.5"
@@ -296,7 +150,7 @@ EQUIDISTANT = CAMCHAIN.replace("equidistant", "KannalaBrandt4"), {"name": "cam1"
         (CALIB_ANYTHING, {"width": 1920, "height": 1080}, "OPENCV", 1920, 1080, ANYTHING_LENS),
     ],
 )  # fmt: skip
-def test_cameras_as_other_tools_write_them(
+def test_cameras_of_other_tools(
     text: str, reading: dict[str, Any], model: str, width: int, height: int, params: tuple[float, ...]
 ) -> None:
     assert read_text(text, **reading).camera == Camera(model, width, height, params)

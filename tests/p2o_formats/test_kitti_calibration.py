@@ -6,12 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from p2o import se3
-from p2o_formats.kitti_calibration import (
-    KittiCalibration,
-    read_calibration,
-    rectified_camera,
-    rectified_extrinsic,
-)
+from p2o_formats.kitti_calibration import KittiCalibration, read_calibration, rectified_camera, rectified_extrinsic
 
 from tests.p2o_datasets.kitti_files import PROJECTIONS, R_RECT, VELO_TO_CAM, numbers, write_lines
 from tests.p2o_datasets.opened import refused

@@ -13,7 +13,7 @@ from p2o import Dataset, InputError, se3
 from p2o_sim.vkitti2 import METHOD, VirtualKitti2Options, build
 from pydantic import ValidationError
 
-from tests.p2o_datasets.flat_scene import BOARD_M, CAMERA, ROAD_M, depth_m
+from tests.p2o_sim.flat_scene import BOARD_M, CAMERA, ROAD_M, depth_m
 
 BASELINE_M = 0.532725
 # world-to-camera of a camera somewhere in its scene; the right one stands 0.53 m to the right of it.

@@ -161,11 +161,7 @@ def _files(path: Path) -> tuple[list[Path], bool]:
         fault = "the folder is not a ROS 2 bag"
         hint = f"give one of its files: {path / inside[0]}" if inside else None
         raise InputError(fault, where=path, expected=_METADATA, got=", ".join(inside[:5]) or "no bag in it", hint=hint)
-    return _files_of_metadata(path)
-
-
-def _files_of_metadata(folder: Path) -> tuple[list[Path], bool]:
-    where = folder / _METADATA
+    where = path / _METADATA
     content = parse_yaml(read_text(where, "file of metadata"), "file of metadata", where)
     about = content.get("rosbag2_bagfile_information") if isinstance(content, dict) else None
     names = about.get("relative_file_paths") if isinstance(about, dict) else None
@@ -184,10 +180,10 @@ def _files_of_metadata(folder: Path) -> tuple[list[Path], bool]:
         hint = "decompress them: ros2 bag convert, or zstd -d FILE.zstd and give the file itself"
         raise InputError("the files of the bag are compressed", where=where, expected=expected, got=got, hint=hint)
     # Some recorders write the name of the folder before that of the file. Links out of the folder are refused.
-    files = [folder / PurePosixPath(name).name for name in names]
-    if not files:
+    if not names:
         raise InputError("the bag has no files", where=where, expected="relative_file_paths", got="an empty list")
-    return [file_inside(folder.resolve(), folder, file.name, where) for file in files], mode == "message"
+    files = [file_inside(path.resolve(), path, PurePosixPath(name).name, where) for name in names]
+    return files, mode == "message"
 
 
 def _kind(file: Path) -> str:
@@ -211,24 +207,21 @@ def _opened(file: Path, kind: str) -> Any:
         with limited_connections(file):
             reader.open()
         return reader
-    reader = _reader(file, kind)
-    reader.open()
-    return reader
-
-
-def _reader(file: Path, kind: str) -> Any:
     if kind == ".bag":
         from rosbags.rosbag1 import Reader
 
-        return Reader(file)
-    from rosbags.rosbag2 import storage_mcap
+        reader = Reader(file)
+    else:
+        from rosbags.rosbag2 import storage_mcap
 
-    # rosbags decompresses without a bound; this table is its only extension point.
-    storage_mcap.DECOMPRESSORS.update(
-        lz4=lambda data, size: _unpacked(_lz4(), data, size),
-        zstd=lambda data, size: _unpacked(_zstd().ZstdDecompressor(), data, size),
-    )
-    return storage_mcap.McapReader(file)
+        # rosbags decompresses without a bound; this table is its only extension point.
+        storage_mcap.DECOMPRESSORS.update(
+            lz4=lambda data, size: _unpacked(_lz4(), data, size),
+            zstd=lambda data, size: _unpacked(_zstd().ZstdDecompressor(), data, size),
+        )
+        reader = storage_mcap.McapReader(file)
+    reader.open()
+    return reader
 
 
 def _bound_chunks(reader: Any) -> None:

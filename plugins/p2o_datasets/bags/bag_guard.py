@@ -130,7 +130,5 @@ def check_chunks(reader: Any, file: Path) -> None:
 
 
 def _not_plain(file: Path, got: str) -> InputError:
-    expected = "the plain tables that ROS 2 writes"
-    return InputError(
-        "the bag cannot be read", where=file, expected=expected, got=got, hint="record or convert it again"
-    )
+    expected, hint = "the plain tables that ROS 2 writes", "record or convert it again"
+    return InputError("the bag cannot be read", where=file, expected=expected, got=got, hint=hint)

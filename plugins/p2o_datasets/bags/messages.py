@@ -39,13 +39,9 @@ _FOXGLOVE_FIELDS = {
 """Fields after timestamp and frame_id; the name of the first type is p2o's own."""
 
 # Fields of the message before its points; rosbags would create one object per point.
-_LIVOX_START = """std_msgs/Header header
-uint64 timebase
-uint32 point_num
-uint8 lidar_id
-uint8[3] rsvd
-uint32 point_count
-"""
+_LIVOX_START = (
+    "std_msgs/Header header\nuint64 timebase\nuint32 point_num\nuint8 lidar_id\nuint8[3] rsvd\nuint32 point_count\n"
+)
 
 _LIVOX_POINT = np.dtype(
     [("offset_time", "<u4"), *((axis, "<f4") for axis in "xyz"), ("reflectivity", "u1"), ("tag", "u1"), ("line", "u1")]
@@ -234,26 +230,22 @@ def _camera_info(message: Any) -> CameraInfoMessage:
     )
 
 
-def _transform(header: Any, child_frame_id: str, rotation: Any, translation: Any) -> Transform:
-    quaternion = (rotation.x, rotation.y, rotation.z, rotation.w)
-    return Transform(_header(header), child_frame_id, quaternion, (translation.x, translation.y, translation.z))
+def _transform(message: Any, rotation: Any, translation: Any) -> Transform:
+    """Return the pose of a TransformStamped, Odometry or PoseStamped message; the latter has no child frame."""
+    child, quaternion = getattr(message, "child_frame_id", ""), (rotation.x, rotation.y, rotation.z, rotation.w)
+    return Transform(_header(message.header), child, quaternion, (translation.x, translation.y, translation.z))
 
 
 def _transforms(message: Any) -> tuple[Transform, ...]:
-    parts = ((one.header, one.child_frame_id, one.transform) for one in message.transforms)
-    return tuple(_transform(header, child, part.rotation, part.translation) for header, child, part in parts)
+    return tuple(_transform(one, one.transform.rotation, one.transform.translation) for one in message.transforms)
 
 
 def _path_pose(message: Any) -> Transform:
-    """Return the pose of an Odometry or PoseStamped message; the latter has no child frame."""
     pose = getattr(message.pose, "pose", message.pose)
-    return _transform(message.header, getattr(message, "child_frame_id", ""), pose.orientation, pose.position)
+    return _transform(message, pose.orientation, pose.position)
 
 
-_IMAGE_READERS = {
-    IMAGE: partial(_copied, ImageMessage),
-    COMPRESSED_IMAGE: partial(_copied, CompressedImageMessage),
-}
+_IMAGE_READERS = {IMAGE: partial(_copied, ImageMessage), COMPRESSED_IMAGE: partial(_copied, CompressedImageMessage)}
 _READERS: Mapping[str, Callable[[Any], Any]] = {
     **_IMAGE_READERS,
     **{kind: _IMAGE_READERS[same] for kind, same in FOXGLOVE.items()},

@@ -9,26 +9,13 @@ from typing import Any
 from p2o import InputError
 from p2o_formats.frame_tree import bare
 
+from p2o_datasets.bags import messages
 from p2o_datasets.bags.bag import Bag, Message, Topic
 from p2o_datasets.bags.choice import Chosen, choose
-from p2o_datasets.bags.messages import (
-    CAMERA_INFO,
-    CLOUDS,
-    COMPRESSED_IMAGE,
-    FOXGLOVE,
-    IMAGE,
-    IMAGES,
-    LIVOX,
-    PATHS,
-    POINT_CLOUD,
-    TF,
-    read_header,
-    read_message,
-    shown,
-)
+from p2o_datasets.bags.messages import read_header, read_message, shown
 from p2o_datasets.bags.tf import read_frame_tree
 
-_READ = (*IMAGES, CAMERA_INFO, *CLOUDS, *TF, *PATHS)
+_READ = (*messages.IMAGES, messages.CAMERA_INFO, *messages.CLOUDS, *messages.TF, *messages.PATHS)
 _WINDOWS_S = (1, 10, 100)
 _MAX_NAMED = 6
 
@@ -126,24 +113,24 @@ def _read(message: Message) -> Any:
 
 
 def _details(message: Message) -> tuple[str | None, str]:
-    content, kind = _read(message), FOXGLOVE.get(message.topic.kind, message.topic.kind)
+    content, kind = _read(message), messages.FOXGLOVE.get(message.topic.kind, message.topic.kind)
     if content is None:
         return None, ""
-    if kind in TF:
+    if kind in messages.TF:
         pairs = [f"{t.header.frame_id} > {t.child_frame_id}" for t in content]
         return None, ", ".join(pairs[:_MAX_NAMED]) + (", ..." if len(pairs) > _MAX_NAMED else "")
     header = content.header
-    if kind == IMAGE:
+    if kind == messages.IMAGE:
         text = f"{content.width}x{content.height} px {content.encoding}"
-    elif kind == COMPRESSED_IMAGE:
+    elif kind == messages.COMPRESSED_IMAGE:
         text = content.format
-    elif kind == CAMERA_INFO:
+    elif kind == messages.CAMERA_INFO:
         text = f"{content.width}x{content.height} px {content.distortion_model or 'no model'}"
         text += "" if content.K.any() else ", not calibrated"
-    elif kind == POINT_CLOUD:
+    elif kind == messages.POINT_CLOUD:
         names = " ".join(field.name for field in content.fields)
         text = f"{content.width * content.height} points ({content.height} rows): {names}"
-    elif kind in LIVOX:
+    elif kind in messages.LIVOX:
         text = f"{len(content.points)} points: {' '.join(content.points.dtype.names)}"
     else:
         text = f"child frame {content.child_frame_id}" if content.child_frame_id else ""

@@ -108,7 +108,7 @@ def with_chunk_index(file: Path, change: str) -> None:
 
 
 @pytest.mark.parametrize("change", ["repeated", "outside"])
-def test_an_index_that_names_a_chunk_twice_or_outside_the_file_is_refused(
+def test_chunks_twice_or_outside_the_file_are_refused(
     tmp_path: Path, change: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = bag(tmp_path, "mcap")

@@ -11,18 +11,7 @@ from p2o_datasets.bags.bag import Bag
 from p2o_datasets.bags.choice import choose, choose_path
 from p2o_datasets.bags.overview import overview
 
-from tests.bag_files import (
-    FORMS,
-    Said,
-    camera_info,
-    cloud,
-    compressed,
-    image,
-    odometry,
-    tf,
-    transform,
-    write_bag,
-)
+from tests.bag_files import FORMS, Said, camera_info, cloud, compressed, image, odometry, tf, transform, write_bag
 
 CAMERA = Camera.pinhole(20, 20, 7, 5, 16, 12)
 START_NS = 1_700_000_000_000_000_000
@@ -40,9 +29,7 @@ def drive(*more: Said) -> list[Said]:
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_topics_are_told_with_what_their_messages_hold(
-    tmp_path: Path, form: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_topics_have_details_of_messages(tmp_path: Path, form: str, capsys: pytest.CaptureFixture[str]) -> None:
     path = write_bag(tmp_path, drive(odometry("/odom", START_NS, (0, 0, 0))), form)
     assert main(["data", "topics", str(path), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
@@ -64,9 +51,7 @@ def test_topics_are_told_with_what_their_messages_hold(
     }
 
 
-def test_the_table_has_a_line_a_topic_and_says_why_nothing_is_chosen(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_table_states_why_nothing_is_chosen(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = write_bag(tmp_path, drive(cloud("/other\x1b[31m", START_NS, POINTS)))
     assert main(["data", "topics", f"ros:{path}"]) == 0
     lines = capsys.readouterr().out.splitlines()

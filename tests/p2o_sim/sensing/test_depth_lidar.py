@@ -10,7 +10,7 @@ from p2o import Camera, InputError, se3
 from p2o_sim import LIDARS
 from p2o_sim.sensing.depth_lidar import depth_sweep
 
-from tests.p2o_datasets.flat_scene import BOARD, BOARD_M, CAMERA, ROAD_M, WALL_M, depth_m
+from tests.p2o_sim.flat_scene import BOARD, BOARD_M, CAMERA, ROAD_M, WALL_M, depth_m
 
 AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 QUIET = replace(LIDARS["hdl-64e"], range_noise_m=0.0, angle_noise_deg=0.0)
