@@ -53,7 +53,7 @@ def calibrate(frames: Any, start: Any) -> p2o.Result:
 make_noise()
 if mode() == "textless-import":
     raise TextlessError
-if MODE == "interrupt-import":
+if mode() == "interrupt-import":
     raise KeyboardInterrupt
 
 

@@ -23,6 +23,7 @@ from p2o.geometry import se3
 from p2o.geometry.perturb import Perturbation, parse_perturbation
 from p2o.host.calibration_file import read_initial_guess
 from p2o.host.registry import Registry
+from p2o.host.slots import EXTRACTORS
 from p2o.page.page import brief
 from p2o.run.assembly import INPUTS
 from p2o.run.initial_guess import start_of
@@ -50,7 +51,6 @@ BLIND = (
     "used as a prior, or a bias of edges or reflectances. Frames of one drive resemble each other, so intervals are "
     "too narrow. Where the absolute error matters, use calibration boards."
 )
-_EXTRACTORS = ("extractor", "cloud")
 _SAME_DEG, _SAME_M = 1e-3, 1e-4
 
 
@@ -329,7 +329,7 @@ def family_of(plan: Plan) -> str:
 
 def _features(plan: Plan) -> set[str]:
     """Return the extractors of a plan, without those of the independent check."""
-    return {plan.parts[stage].offer.full_name for stage in _EXTRACTORS if stage in plan.parts}
+    return {plan.parts[stage].offer.full_name for stage in EXTRACTORS if stage in plan.parts}
 
 
 @dataclass(frozen=True, eq=False)
@@ -378,7 +378,7 @@ def _costs(job: JudgeJob) -> Float:
         record = worker.read(source, job.cache)
         if record.failure is not None or record.camera is None:
             raise InputError(record.reason, where=record.name)
-        parts = [(stage, plan.parts[stage]) for stage in _EXTRACTORS]
+        parts = [(stage, plan.parts[stage]) for stage in EXTRACTORS]
         keys = [features_key(part, record.inputs[INPUTS[stage]]) for stage, part in parts]
         image, cloud = (
             worker.prepared(cache, key, source, part, stage)[0] for key, (stage, part) in zip(keys, parts, strict=True)

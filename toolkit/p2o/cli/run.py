@@ -69,7 +69,7 @@ if TYPE_CHECKING:
 @text_option(
     "--witness",
     "IMAGE/CLOUD",
-    "Extractors for an independent check of methods that use no directed edges (default: p2ornet/rings; none).",
+    "Extractors for an independent check (default: p2ornet/rings, unless their edges are used already; none).",
     complete_extractors,
 )
 @text_option(

@@ -92,8 +92,10 @@ STAGED_WORDS = tuple(dict.fromkeys(slot.word for slot in SLOTS if slot.staged))
 METHOD_WORDS = (*STAGED_WORDS, SLOT_OF[Kind.CALIBRATOR].word)
 """The words of a recipe that choose methods for frames."""
 
+EXTRACTORS = ("extractor", "cloud")
+"""The stages of a plan that extract features."""
 WITNESS = ("witness", "witness-cloud")
-"""What extracts the edges by which a result is checked whose method has none: stages of a plan."""
+"""The stages of a plan that extract the edges of the independent check."""
 WIDE = "wide"
 """The stage of a plan that searches a whole box of poses if the result of a rough initial guess is not trusted."""
 WITNESS_STAGES = {"matcher": "witness-matcher", "solver": "witness-solver", "init": "witness-init"}

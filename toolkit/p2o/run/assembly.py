@@ -19,7 +19,7 @@ from p2o.errors import P2OError
 from p2o.features.view import View
 from p2o.frames.frame import Frame
 from p2o.frames.scale import camera_at_scale, image_at_scale
-from p2o.host.slots import WIDE, WITNESS, WITNESS_STAGES
+from p2o.host.slots import EXTRACTORS, WIDE, WITNESS, WITNESS_STAGES
 from p2o.host.stages import Initializer, InitializerBase
 from p2o.options import Options
 from p2o.results.result import Result
@@ -109,6 +109,11 @@ class Assembly:
         """Whether the method is a plain function of frames, for which nothing is prepared."""
         return not isinstance(self.calibrator, Pipeline) and not self.calibrator.prepares
 
+    @property
+    def has_witness(self) -> bool:
+        """Whether other extractors check the results."""
+        return all(stage in self.stages for stage in WITNESS)
+
     def __call__(self, frames: Sequence[Frame], camera_from_lidar: Float, /) -> Result:
         """Calibrate frames jointly from an initial extrinsic (4, 4), and apply the independent check to the result."""
         clock = Clock()
@@ -158,13 +163,12 @@ class Assembly:
     def checked(
         self, result: Result, frames: Sequence[FrameInfo], extract: Callable[[int], Mapping[str, Any]]
     ) -> Result:
-        """Return a result of a method without directed edges with the verdict by those of the independent check.
+        """Return a result with the verdict by the edges of the independent check, if the method has one.
 
         `extract` gives the features of the independent check by stage, for a frame by its number; it is called only if
         the result needs the check.
         """
-        directed = isinstance(self.calibrator, Pipeline) and self.calibrator.directed
-        if not result.status.solved or (directed and result.agreement is not None):
+        if not result.status.solved or (result.agreement is not None and not self.has_witness):
             return result
         clock = Clock()
         with clock.of("witness"):
@@ -174,7 +178,7 @@ class Assembly:
 
     def _witness_view(self, info: FrameInfo, extract: Callable[[], Mapping[str, Any]]) -> View | None:
         """Return the features of the independent check; None without a check or if its extractors fail."""
-        if not all(stage in self.stages for stage in WITNESS):
+        if not self.has_witness:
             return None
         try:
             pieces = extract()
@@ -188,9 +192,9 @@ class Assembly:
         """Return the features of a frame to draw: of the pipeline or of the independent check; None without either."""
         if isinstance(self.calibrator, Pipeline):
             # What an initializer prepares is not drawn.
-            pieces = self._pieces(frame, ("extractor", "cloud"))
+            pieces = self._pieces(frame, EXTRACTORS)
             view = self.calibrator.view(frame.name, frame.camera, pieces["extractor"], pieces["cloud"], frame.twist)
-            if view.image.edges is not None or not all(stage in self.stages for stage in WITNESS):
+            if view.image.edges is not None or not self.has_witness:
                 return view
         return self._witness_view(FrameInfo.of(frame, "twist"), lambda: self._pieces(frame, WITNESS))
 

@@ -9,7 +9,7 @@ from p2o.errors import InputError
 from p2o.frames.frame import Frame
 from p2o.host.method import Kind
 from p2o.host.registry import Offer, Registry
-from p2o.host.slots import SLOT_OF
+from p2o.host.slots import EXTRACTORS, SLOT_OF
 from p2o.run.presets import presets
 
 
@@ -71,7 +71,7 @@ def misfit_of(offers: Mapping[str, Offer], contents: frozenset[str] | None = Non
 
     `contents` are the words that the frames are known to hold, once one has been read.
     """
-    extractors = [offers[stage] for stage in ("extractor", "cloud") if stage in offers]
+    extractors = [offers[stage] for stage in EXTRACTORS if stage in offers]
     data = [offers["data"]] if "data" in offers else []
     if data and "accumulate" in offers:
         gives = (data[0].method.gives - LOST) | offers["accumulate"].method.gives

@@ -14,7 +14,7 @@ from p2o.files.input_file import nearest, no_such_folder
 from p2o.geometry.rough_start import is_rough_start
 from p2o.host.method import Kind, Method
 from p2o.host.registry import Offer, Registry, watch
-from p2o.host.slots import KIND_OF, STAGED_WORDS, STAGES, WIDE, WITNESS, WITNESS_STAGES
+from p2o.host.slots import EXTRACTORS, KIND_OF, STAGED_WORDS, STAGES, WIDE, WITNESS, WITNESS_STAGES
 from p2o.options import Options, validated
 from p2o.run.fit import check_fit, contents_of, misfit_of, suggest_alternative
 from p2o.run.part import Part as Part
@@ -46,8 +46,8 @@ class Recipe(BaseModel):
     result of `search` is not trusted), or names a calibration file; `joint` gives one result for all frames. `rig`
     gives one for each camera: True where frames name their camera, else a rig file or its content (`p2o.run.rig`).
     `accumulate` names a method that joins sweeps of a sequence. `witness` is IMAGE/CLOUD, extractors whose edges check
-    results of methods without directed edges of their own: None takes those of the default recipe where frames allow
-    it, "none" goes without.
+    the results: None takes those of the default recipe, where frames allow it, for methods without directed edges and
+    for extractors of other packages; "none" goes without.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -186,14 +186,19 @@ def _witness(recipe: Recipe, parts: Mapping[str, Part], registry: Registry) -> d
     """Return the extractors of the independent check; default ones only if they are installed and fit the data.
 
     Only edges with directions check the result of the method that uses them: edges without are so dense that they
-    agree little more than under random alignment even at a correct pose.
+    agree little more than under random alignment even at a correct pose. Edges of extractors of other packages are
+    checked by the default ones: a bias that they share with the pose is invisible in their own agreement.
     """
-    if recipe.witness == "none" or (recipe.witness is None and checks_itself(parts)):
+    if recipe.witness == "none":
         return {}
     image, cloud = _pair("--witness", recipe.witness or Recipe().extractor)
     names = {WITNESS[0]: (Kind.IMAGE_EXTRACTOR, image), WITNESS[1]: (Kind.CLOUD_EXTRACTOR, cloud)}
     extractors = _installed(recipe, names, registry, required=recipe.witness is not None)
     if not extractors:
+        return {}
+    packages = {part.offer.dist for part in extractors.values()}
+    own = checks_itself(parts) and packages.issuperset(parts[stage].offer.dist for stage in EXTRACTORS)
+    if own and recipe.witness is None:
         return {}
     beside = {"data": parts["data"].offer} if "data" in parts else {}
     offers = {**beside, "extractor": extractors["witness"].offer, "cloud": extractors["witness-cloud"].offer}
@@ -306,7 +311,7 @@ class Plan:
 
 def checks_itself(parts: Mapping[str, Part]) -> bool:
     """Return whether the edges of a pipeline check its results: those of both sensors, matched by their directions."""
-    gives = {word for stage in ("extractor", "cloud") if stage in parts for word in parts[stage].offer.method.gives}
+    gives = {word for stage in EXTRACTORS if stage in parts for word in parts[stage].offer.method.gives}
     return {"image-edges", "cloud-edges"} <= gives and "side" in parts["matcher"].offer.method.needs
 
 
