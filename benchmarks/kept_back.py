@@ -1,11 +1,11 @@
 """Print the table of results on frames that were kept back from development, as measured by others.
 
-    python benchmarks/kept_back.py FILE.md [--weights free]
-    python benchmarks/kept_back.py FILE.md --weights free --beside rigs
-    python benchmarks/kept_back.py FILE.md --brief    # one line for each set of SETS
+    python benchmarks/kept_back.py FILE.md
+    python benchmarks/kept_back.py FILE.md --beside rigs    # free weights, beside development frames of the same rigs
+    python benchmarks/kept_back.py FILE.md --brief    # free weights, one line for each set of SETS
 
-FILE has a Markdown table with the columns set, weights and mode, as `kept-back-0.2.0.md`. With --beside the figures of
-development frames of the same rigs are beside them, from the rows of a suite with this version.
+FILE has a Markdown table with the columns set, weights and mode, as `kept-back-0.2.0.md`. Figures of development frames
+are from the rows of a suite with this version.
 """
 
 from __future__ import annotations
@@ -53,12 +53,6 @@ def read(text: str) -> list[dict[str, str]]:
     return [dict(zip(head, row, strict=True)) for row in rows]
 
 
-def kept_back(rows: list[dict[str, str]], weights: str | None) -> str:
-    """Return the rows with these weights as a Markdown table."""
-    chosen = [name for name in rows[0] if weights is None or name != "weights"]
-    return table(chosen, [[row[name] for name in chosen] for row in rows if weights in (None, row["weights"])])
-
-
 def development(line: Statistics | None) -> list[str]:
     """Return the cells of `COLUMNS` of a row of a suite, "-" without one."""
     if line is None:
@@ -70,22 +64,22 @@ def development(line: Statistics | None) -> list[str]:
     return [f"{line.count} ({line.frames})", *errors, str(line.trusted), str(line.outside_95.runs)]
 
 
-def beside(rows: list[dict[str, str]], weights: str, lines: dict[Key, Statistics]) -> str:
-    """Return the kept-back figures of sets with these weights after those of development frames of the same rig."""
+def beside(rows: list[dict[str, str]], lines: dict[Key, Statistics]) -> str:
+    """Return the kept-back figures of sets after those of development frames of the same rig."""
     by_label = {(key.dataset, key.label.removeprefix("without-rings ")): line for key, line in lines.items()}
     cells = []
-    for row in (row for row in rows if row["weights"] == weights):
+    for row in rows:
         label = LABEL + (", joint" if row["mode"] == "joint" else "")
         line = by_label.get((DEVELOPMENT.get(row["set"], ""), label))
         cells.append([row["set"], row["mode"], *development(line), *(row[name] for name in COLUMNS)])
     return table(["set", "mode", *COLUMNS, *(f"kept back: {name}" for name in COLUMNS)], cells)
 
 
-def by_set(rows: list[dict[str, str]], weights: str) -> str:
+def by_set(rows: list[dict[str, str]]) -> str:
     """Return one line for each of `SETS`: medians of single frames and of joint calibrations, and their verdicts."""
     cells = []
     for name in SETS:
-        modes = {row["mode"]: row for row in rows if row["set"] == name and row["weights"] == weights}
+        modes = {row["mode"]: row for row in rows if row["set"] == name}
         errors = [f"{row['deg median']}, {row['cm median']}" for row in (modes[mode] for mode in SHORT)]
         runs = sum(int(row["runs (frames)"].split()[0]) for row in modes.values())
         trusted, wrong = (sum(int(row[key]) for row in modes.values()) for key in ("trusted", WRONG))
@@ -98,19 +92,18 @@ def main() -> None:
     """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("file", type=Path)
-    parser.add_argument("--weights", choices=("default", "free"))
     parser.add_argument("--brief", action="store_true", help="one line for each set of SETS")
     parser.add_argument("--beside", metavar="SUITE", help="a suite of single frames and joint calibrations")
     parser.add_argument("--results", default="benchmarks/results")
     given = parser.parse_args()
     rows = read(given.file.read_text(encoding="utf-8"))
+    free = [row for row in rows if row["weights"] == "free"]
     if given.brief:
-        print(by_set(rows, given.weights or "free"))
+        print(by_set(free))
     elif given.beside is None:
-        print(kept_back(rows, given.weights))
+        print(table(list(rows[0]), [list(row.values()) for row in rows]))
     else:
-        lines = read_lines(find_suite(given.beside, Registry.load()), Rows(given.results))
-        print(beside(rows, given.weights or "free", lines))
+        print(beside(free, read_lines(find_suite(given.beside, Registry.load()), Rows(given.results))))
 
 
 if __name__ == "__main__":

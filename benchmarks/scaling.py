@@ -1,18 +1,16 @@
 """Measure rows per minute by workers.
 
-    python benchmarks/scaling.py measure [--workers 1 2 4] [--rows 200]
+    python benchmarks/scaling.py [--workers 1 2 4] [--rows 200]
 
-`measure` runs a study of single synthetic frames from many initial guesses (features are extracted before, so that rows
-are calibrations alone) with N processes, and with N local dask workers where dask is installed, each into a folder of
-its own. Printed are rows a minute, and the processor time of the process that distributes the rows for each of them:
-planning, sending it to a worker, receiving and writing it, and polling. They are compared with a simulated scheduler,
-which serves every row twice, before and after a worker computes it in one of the measured times, in order of arrival.
+A study of single synthetic frames from many initial guesses (features are extracted before, so that rows are
+calibrations alone) is run with N processes, and with N local dask workers where dask is installed, each into a folder
+of its own. Printed are rows a minute, and the processor time of the process that distributes the rows for each of them:
+planning, sending it to a worker, receiving and writing it, and polling.
 """
 
 from __future__ import annotations
 
 import argparse
-import heapq
 import statistics
 import tempfile
 import time
@@ -53,54 +51,6 @@ class Speed:
     served_s: float
 
 
-@dataclass(frozen=True)
-class Costs:
-    """Seconds of rows in a worker, bytes that a row adds to the folder, bytes of features of a frame, and speeds."""
-
-    row_s: tuple[float, ...]
-    row_bytes: float
-    feature_bytes: float
-    speeds: tuple[Speed, ...]
-
-    @property
-    def served_s(self) -> dict[str, float]:
-        """Processor seconds of the distributing process per row, by backend, with most workers."""
-        return {speed.backend: speed.served_s for speed in self.speeds[1:]}
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """The outcome of a simulated scheduler: rows a minute, and shares of time that it and its workers are busy."""
-
-    rows_a_minute: float
-    scheduler_busy: float
-    workers_busy: float
-
-
-def simulated(rows: int, workers: int, row_s: Sequence[float], served_s: float, seed: int = 0) -> Outcome:
-    """Return the simulated throughput of one scheduler with N workers and M rows.
-
-    The scheduler does one thing at a time, first come first served: half of `served_s` before it sends a row, half when
-    it receives one. Times of rows are drawn from `row_s`.
-    """
-    times = np.random.default_rng(seed).choice(np.asarray(row_s, float), rows)
-    half, free, sent, received = served_s / 2, 0.0, 0, 0
-    requests: list[tuple[float, int]] = [(0.0, 0)] * min(workers, rows)
-    """(when, 1 if a row comes back): a worker without a row asks for one."""
-    heapq.heapify(requests)
-    while received < rows:
-        when, returned = heapq.heappop(requests)
-        free = max(free, when)
-        if returned:
-            free += half
-            received += 1
-        if sent < rows:
-            free += half
-            heapq.heappush(requests, (free + times[sent], 1))
-            sent += 1
-    return Outcome(60 * rows / free, rows * served_s / free, float(times.sum()) / (workers * free))
-
-
 def speed(name: str, workers: Workers, rows: int, cache: FeatureCache) -> tuple[Speed, list[float], float]:
     """Return the speed of a study, the seconds of its rows without extraction, and their size in bytes."""
     arrived: list[tuple[float, float]] = []
@@ -135,8 +85,8 @@ def backends() -> Iterator[str]:
     yield "dask"
 
 
-def measure(counts: Sequence[int], rows: int) -> Costs:
-    """Return what rows cost on this machine; each number of workers on every backend."""
+def measured(counts: Sequence[int], rows: int) -> str:
+    """Return what rows cost on this machine, as text: each number of workers on every backend."""
     with tempfile.TemporaryDirectory() as folder:
         cache = FeatureCache(Path(folder))
         first, row_s, size = speed("in this process", Workers(1), rows, cache)
@@ -147,33 +97,23 @@ def measure(counts: Sequence[int], rows: int) -> Costs:
                 if backend != "loky" or count > 1:
                     workers = Workers(count, backend)  # type: ignore[arg-type]
                     speeds.append(speed(backend, workers, rows, cache)[0])
-    return Costs(tuple(row_s), size, features, tuple(speeds))
-
-
-def measured(costs: Costs) -> str:
-    """Return the measurements, and the prediction of the simulated scheduler for the same workers."""
-    lines = []
-    for each in costs.speeds:
-        served = costs.served_s.get(each.backend, 0.0)
-        rate = simulated(20_000, each.workers, costs.row_s, served).rows_a_minute
-        rates = (each.rows_a_minute, each.rows_a_minute_once_running, rate)
-        lines.append((each.backend, each.workers, *(f"{value:.0f}" for value in rates)))
-    served = ", ".join(f"{name} {1e3 * value:.2f}" for name, value in costs.served_s.items())
+    lines = [(s.backend, s.workers, f"{s.rows_a_minute:.0f}", f"{s.rows_a_minute_once_running:.0f}") for s in speeds]
+    by_backend = {each.backend: each.served_s for each in speeds[1:]}
+    served = ", ".join(f"{name} {1e3 * value:.2f}" for name, value in by_backend.items())
     return (
-        f"{table(('backend', 'workers', 'rows a minute, all in', 'once running', 'simulated'), lines)}\n\n"
-        f"a row: {statistics.median(costs.row_s):.3f} s in a worker (median); ms of the distributing process: "
-        f"{served}; {costs.row_bytes:.0f} bytes on disk; {costs.feature_bytes:.0f} bytes of features of a frame"
+        f"{table(('backend', 'workers', 'rows a minute, all in', 'once running'), lines)}\n\n"
+        f"a row: {statistics.median(row_s):.3f} s in a worker (median); ms of the distributing process: "
+        f"{served}; {size:.0f} bytes on disk; {features:.0f} bytes of features of a frame"
     )
 
 
 def main() -> None:
     """Measure."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("command", choices=["measure"])
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 2, 4])
     parser.add_argument("--rows", type=int, default=200)
     options = parser.parse_args()
-    print(measured(measure(options.workers, options.rows)))
+    print(measured(options.workers, options.rows))
 
 
 if __name__ == "__main__":
