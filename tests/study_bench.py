@@ -32,11 +32,12 @@ options = { frames = 3 }
 [defaults]
 extractor = "tiny/tiny"
 init = "given"
+witness = "none"
 """
 # The intrinsics are not what these tests are about, and checking them takes most of a calibration.
 TRUSTED = 'options.pipeline.camera = "trust"\n'
 STAGED = HEAD + TRUSTED + '[[product]]\nmatcher = ["ogm", "nearest"]\nsolver = ["lm", "scipy"]\n'
-QUICK = HEAD + '[[row]]\nlabel = "quick"\ncalibrator = "quick"\nwitness = "none"\n'
+QUICK = HEAD + '[[row]]\nlabel = "quick"\ncalibrator = "quick"\n'
 
 
 class Bench:

@@ -118,10 +118,8 @@ def test_the_card_of_a_data_set_is_shown(browser: Any, folder: Path, tmp_path: P
     suite = find_suite("tiny", registry, folder.parent / "suites")
     card = {"Streets": {"sensor": "HDL-64E", "licence": HOSTILE, "known faults": ""}}
     results = Rows(folder.parent / "results")
-    done = pages.write_page(
-        [suite], results, tmp_path, registry, cards=lambda table: card if table.name == "first" else {}
-    )
-    page = Page(browser, done.path)
+    pages.write_page([suite], results, tmp_path, registry, cards=lambda table: card if table.name == "first" else {})
+    page = Page(browser, tmp_path / "index.html")
     page.click("#main > section details summary")
     page.until_equal(lambda: page.texts("#main details td"), ["sensor", "HDL-64E", "licence", HOSTILE])
     page.until(lambda: "first (HDL-64E)" in page.texts("#rows-data-set option"))

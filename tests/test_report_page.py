@@ -135,7 +135,7 @@ def test_a_click_on_a_row_shows_its_runs_and_a_run_leads_to_the_next(page: Page)
 
 def test_groups_axes_and_studies_can_be_chosen(page: Page) -> None:
     titles = "return [...document.querySelectorAll('.plot svg > text')].map(one => one.textContent)"
-    page.until(lambda: {"roll [deg]", "x [cm]"} <= set(page.run(titles)))
+    page.until(lambda: "x [cm]" in page.run(titles))
     page.choose("#choose-rows", "jointly solved frames")
     page.until_equal(lambda: page.text("#runs-count"), "3 of 3 runs")
     page.until_equal(lambda: page.count("#pairs"), 0)
