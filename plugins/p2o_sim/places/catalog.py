@@ -10,7 +10,7 @@ from types import MappingProxyType
 import numpy as np
 from p2o import Float, UnknownNameError
 
-from p2o_sim.places import empty, hall, highway, repeated, room, suburb, town, varied, woods, yard
+from p2o_sim.places import difficult, hall, highway, room, suburb, town, varied, woods, yard
 from p2o_sim.world.lighting import triple
 from p2o_sim.world.place import Layout, Plan, Thing, land_behind
 from p2o_sim.world.scene import Mover, Part, Scene
@@ -55,7 +55,7 @@ def scene_of(
     makers: Mapping[str, Callable[[Plan], Layout]] = {
         "street": town.layout, "suburb": suburb.layout, "highway": highway.layout, "trees": woods.layout,
         "varied": varied.layout, "yard": yard.layout, "hall": hall.layout, "room": room.layout,
-        "repeated": repeated.layout, "empty": empty.layout, "traffic": empty.traffic_layout,
+        "repeated": difficult.repeated, "empty": difficult.empty, "traffic": difficult.traffic_alone,
     }  # fmt: skip
     maker, plan = makers[place_of(place, rng)], Plan(rng, travel_m, around)
     layout = maker(plan)
