@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from p2o import se3
-from p2o_sim import Board, Material, Mesh, Part, Scene, thing_of
-from p2o_sim.world.mesh import box
+from p2o_sim.things.boards import Board, thing_of
+from p2o_sim.world.mesh import Mesh, box
+from p2o_sim.world.scene import Material, Part, Scene
 
 GREY = Material("grey", (0.5, 0.5, 0.5), contrast=0.3, reflectance=0.5)
 WALL_X = 10.0

@@ -122,9 +122,8 @@ def _crown(rng: np.random.Generator, place: Float, size: float, centre: Float, h
     """Return leaves at positions (N, 3); low ones and those deep inside the ellipsoid see less of the sky."""
     inside = (place - centre) / half
     depth = np.clip(1.1 - np.linalg.norm(inside, axis=1), 0, 1)
-    return _foliage(
-        rng, place, size, leaf(rng), distance_m, np.clip(0.95 - 0.8 * depth + 0.2 * inside[:, 2], 0.12, 1.0)
-    )
+    openness = np.clip(0.95 - 0.8 * depth + 0.2 * inside[:, 2], 0.12, 1.0)
+    return _foliage(rng, place, size, leaf(rng), distance_m, openness)
 
 
 def _foliage(

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from p2o import Camera, Side, occlusion
-from p2o_sim import Class, Material, Part, Scene, labels, render
+from p2o_sim.sensing.rendering import labels, render
 from p2o_sim.world.mesh import box
+from p2o_sim.world.scene import Class, Material, Part, Scene
 
 from tests.p2o_sim.walls import BOX_X, GREY, WORLD_FROM_CAMERA, walls
 

@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 from p2o import InputError, se3
 from p2o.geometry.motion import moved, pose_at
-from p2o_sim import LIDARS, Lidar, Material, Mover, Part, Rosette, Scene, sweep
+from p2o_sim.sensing.lidar import Lidar, Rosette
+from p2o_sim.sensing.scanning import sweep
+from p2o_sim.sensing.sensors import LIDARS
 from p2o_sim.world.mesh import box
+from p2o_sim.world.scene import Material, Mover, Part, Scene
 
 from tests.p2o_sim.walls import FLOOR_Z, GREY, WALL_X, walls
 

@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from p2o import Camera
-from p2o_sim import Inside, Lamp, Lighting, Material, Part, Scene, render
+from p2o_sim.sensing.rendering import render
+from p2o_sim.world.lighting import Inside, Lamp, Lighting
 from p2o_sim.world.mesh import box
+from p2o_sim.world.scene import Material, Part, Scene
 
 from tests.p2o_sim.walls import down_axis
 
