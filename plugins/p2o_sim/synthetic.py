@@ -428,13 +428,9 @@ def _photos(options: SyntheticOptions, scene_number: int, rendered: RenderedImag
     exposure_ev, mismatch = drawn.uniform(-1.2, 1.5) + weather.exposure_ev, 1 + 0.05 * drawn.normal()
     if options.exposure_ev is not None:
         exposure_ev = options.exposure_ev
-    photo = Photo(
-        gain=metered_gain(rendered.light, exposure_ev, whole=options.rig != "fixed"),
-        blur_px=options.blur_px,
-        vignetting=options.vignetting,
-        grain=options.grain * weather.grain,
-        jpeg_quality=options.jpeg_quality,
-    )
+    gain = metered_gain(rendered.light, exposure_ev, whole=options.rig != "fixed")
+    lens = options.model_dump(include={"blur_px", "vignetting", "jpeg_quality"})
+    photo = Photo(gain=gain, grain=options.grain * weather.grain, **lens)
     return photo, replace(photo, gain=photo.gain * mismatch)
 
 
@@ -465,13 +461,9 @@ def build(options: SyntheticOptions) -> LazyFrames:
     for text in (options.drift, options.start_error):
         parse_perturbation(text)
     if options.drift_at_frame is not None and options.drift_at_frame >= options.frames_per_scene:
-        raise InputError(
-            "the mounting changes after the end of the drive",
-            where="drift_at_frame",
-            expected=f"0 to {options.frames_per_scene - 1}",
-            got=options.drift_at_frame,
-            hint="raise frames_per_scene",
-        )
+        fault, last = "the mounting changes after the end of the drive", options.frames_per_scene - 1
+        late, hint = options.drift_at_frame, "raise frames_per_scene"
+        raise InputError(fault, where="drift_at_frame", expected=f"0 to {last}", got=late, hint=hint)
     if (options.swing_deg or options.tilt_deg) and not _most_speed_m_s(options):
         fault = "a static vehicle does not turn"
         hint = "set speed_m_s=5; with targets the vehicle is static by default"
@@ -513,13 +505,11 @@ def _require_bounded(options: SyntheticOptions) -> None:
     megapixels = min(options.width_px * options.height_px / 1e6, most) if options.rig == "fixed" else drawn
     needed = _ALWAYS_MB + _PER_METRE_MB * travel_m * min(options.scenes, 2) + _PER_MEGAPIXEL_MB * megapixels
     if needed > _MAX_MB:
-        raise InputError(
-            "a frame would take too much memory",
-            where="frames_per_scene, speed_m_s, period_s, width_px, height_px",
-            expected=f"at most {_MAX_MB} MB",
-            got=f"about {needed:.0f} MB for drives of {travel_m:.0f} m and images of {megapixels:.1f} million pixels",
-            hint="make the drive shorter or the image smaller",
-        )
+        fault, expected = "a frame would take too much memory", f"at most {_MAX_MB} MB"
+        where = "frames_per_scene, speed_m_s, period_s, width_px, height_px"
+        hint = "make the drive shorter or the image smaller"
+        got = f"about {needed:.0f} MB for drives of {travel_m:.0f} m and images of {megapixels:.1f} million pixels"
+        raise InputError(fault, where=where, expected=expected, got=got, hint=hint)
 
 
 METHOD = Method(

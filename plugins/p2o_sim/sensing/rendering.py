@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 from p2o import Bool, Camera, Float, UInt8, occlusion
 
 from p2o_sim.sensing.light import shade, sky
-from p2o_sim.sensing.photo import Photo, develop
+from p2o_sim.sensing.photo import Photo, Single, develop
 from p2o_sim.sensing.threads import in_slices
 from p2o_sim.world.scene import Class, Hits, Scene
-
-Single = NDArray[np.float32]
 
 # Four positions in a pixel, all in different rows and columns, for four steps at nearly vertical and horizontal edges.
 _SUBPIXELS = np.array([[-0.125, -0.375], [0.375, -0.125], [0.125, 0.375], [-0.375, 0.125]])

@@ -5,15 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from p2o import Camera, Float, UnknownNameError, se3
 
 from p2o_sim.sensing.lidar import CLEAR_AIR, Air
+from p2o_sim.sensing.photo import Single
 from p2o_sim.world.lighting import Lamp, Lighting, triple
 from p2o_sim.world.palette import GLASS, HEADLIGHT, SIGN_BACK, TAIL_LIGHT
 from p2o_sim.world.scene import Class, Material, Part, Scene
 
-Single = NDArray[np.float32]
 WEATHERS = ("clear", "overcast", "rain", "fog", "night")
 """Names of the kinds of weather; `any` draws one of them."""
 _SHARES = (0.35, 0.2, 0.15, 0.12, 0.18)

@@ -11,7 +11,7 @@ from p2o import Box, Checkerboard, Float, HoleBoard, InputError, Sphere, Target,
 from p2o_sim.things.bodies import body_parts
 from p2o_sim.world.mesh import Mesh, join, quads, stacked
 from p2o_sim.world.place import Thing
-from p2o_sim.world.scene import Class, Material, Part
+from p2o_sim.world.scene import Class, Material, built
 
 THICKNESS_M = 0.008
 """Distance between front and back of every board."""
@@ -68,16 +68,12 @@ def thing_of(board: Board, number: int = 0) -> Thing:
 
     Raises InputError for holes that overlap, or nearly touch one another or the rim.
     """
-    return [
-        Part(Mesh(se3.apply(board.world_from_board, mesh.vertices), mesh.faces), material, kind=Class.BOARD)
-        for mesh, material in _parts(board.target, number)
-    ]
-
-
-def _parts(target: Target, number: int) -> list[tuple[Mesh, Material]]:
+    target, pose = board.target, board.world_from_board
     if isinstance(target, Checkerboard):
-        return _checkerboard(target)
-    return _holes(target) if isinstance(target, HoleBoard) else body_parts(target, number)
+        solids = _checkerboard(target)
+    else:
+        solids = _holes(target) if isinstance(target, HoleBoard) else body_parts(target, number)
+    return built(Class.BOARD, *((Mesh(se3.apply(pose, mesh.vertices), mesh.faces), paint) for mesh, paint in solids))
 
 
 def _checkerboard(target: Checkerboard) -> list[tuple[Mesh, Material]]:

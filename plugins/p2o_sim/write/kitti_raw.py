@@ -35,15 +35,9 @@ def write(frames: Iterable[Frame], root: Path) -> Iterator[str]:
     calibration: dict[str, str] = {}
     prefix = ""
     for frame in frames:
-        require(
-            "kitti-raw",
-            frame,
-            {
-                "a pinhole camera": frame.camera.is_pinhole,
-                "the ground truth of the extrinsic": frame.camera_from_lidar,
-                "a ring for every point": frame.cloud.ring,
-            },
-        )
+        pinhole, truth, ring = frame.camera.is_pinhole, frame.camera_from_lidar, frame.cloud.ring
+        data = {"a pinhole camera": pinhole, "the ground truth of the extrinsic": truth, "a ring for every point": ring}
+        require("kitti-raw", frame, data)
         # The inertial unit is at the LiDAR.
         poses = {"velo_to_cam": np.asarray(frame.camera_from_lidar), "imu_to_velo": np.eye(4)}
         own = {"cam_to_cam": _cam_to_cam(frame)} | {name: _rigid(pose) for name, pose in poses.items()}

@@ -14,10 +14,9 @@ from p2o_sim.sensing.scanning import sweep
 from p2o_sim.sensing.sensors import LIDARS
 from p2o_sim.sensing.weather import WEATHERS, Weather, headlights, in_weather, lit_near, rained_on, weather_of
 from p2o_sim.world.lighting import Lighting
-from p2o_sim.world.mesh import box
 from p2o_sim.world.scene import Class, Material, Part, Scene
 
-from tests.p2o_sim.walls import FLOOR_Z, GREY, WALL_X, WORLD_FROM_CAMERA, down_axis, walls
+from tests.p2o_sim.walls import FLOOR_Z, GREY, WALL_X, WORLD_FROM_CAMERA, box, down_axis, walls
 
 CAMERA = Camera.pinhole(120.0, 120.0, 80.0, 50.0, 161, 101)
 BLACK = Material("black", (0.0, 0.0, 0.0), contrast=0.0, reflectance=0.1)

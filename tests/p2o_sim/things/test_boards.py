@@ -15,10 +15,9 @@ from p2o_sim.sensing.sensors import LIDARS
 from p2o_sim.things.board_holders import holder_of
 from p2o_sim.things.board_places import Rig, boards_in_view
 from p2o_sim.things.boards import TARGETS, Board, thing_of
-from p2o_sim.world.mesh import box
 from p2o_sim.world.scene import Class, Part, Scene
 
-from tests.p2o_sim.walls import FORWARD, GREY, ON_A_CAR, before_a_wall, in_frame, volume
+from tests.p2o_sim.walls import FORWARD, GREY, ON_A_CAR, before_a_wall, box, in_frame, volume
 
 CAMERA = Camera.pinhole(360.0, 360.0, 310.0, 130.0, 621, 260)
 WORLD_FROM_CAMERA, WORLD_FROM_LIDAR = ON_A_CAR
