@@ -5,17 +5,26 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from p2o import Camera, Float, Frame, Image, InputError, Method, Options, Target, UInt8, field, se3
+from p2o import Camera, Float, Frame, Image, InputError, Method, Options, UInt8, field, se3
 from p2o.reading import LazyFrames, adjoint, parse_perturbation, rotation_of, wrong_start
 from pydantic import BeforeValidator, Field
 
-import p2o_sim as simulate
-
-if TYPE_CHECKING:
-    from p2o_sim import Board, Moment, RenderedImage, Scene, Weather
+import p2o_sim
+from p2o_sim.places.catalog import INDOORS, place_of, scene_of
+from p2o_sim.sensing.lidar import Air, Rosette
+from p2o_sim.sensing.photo import Photo, develop, metered_gain
+from p2o_sim.sensing.rendering import RenderedImage, render
+from p2o_sim.sensing.rig_sampling import random_rig, random_vehicle
+from p2o_sim.sensing.scanning import sweep
+from p2o_sim.sensing.sensors import LIDARS
+from p2o_sim.sensing.trajectory import LIDAR_HEIGHT_M, Moment, drive, odometry
+from p2o_sim.sensing.weather import Weather, headlights, in_weather, lit_near, rained_on, weather_of
+from p2o_sim.things.board_places import Rig, boards_in_view
+from p2o_sim.things.boards import TARGETS, Board
+from p2o_sim.world.scene import Scene
 
 BASELINE_M = 0.54
 _MEGAPIXELS = 2.0
@@ -34,15 +43,16 @@ _HEIGHT, _WEATHER, _RAIN, _RIG = 9, 10, 11, 12
 _ROAD_M_S = 8.0
 _USUAL_M_S = {"hall": 1.0, "room": 0.5}
 """Speeds of rigs on robots, in contrast to cars on roads."""
-_TARGET_SIZES = {
-    "columns", "rows", "square_m", "hole_radius_m", "board_width_m", "board_height_m", "sphere_radius_m", "box_size_m"
+_OF_DRIVE = {
+    "seed", "place", "weather", "rig", "speed_m_s", "lidar_height_m", "frames_per_scene", "sweep_s", "period_s",
+    "swing_deg", "tilt_deg", "sway",
 }  # fmt: skip
+"""Options on which a scene and the drive through it depend."""
 _INDOORS_M = (0.6, 1.4)
 """Range of LiDAR heights on robots in halls and rooms."""
 
 
 _Shift = Annotated[float, Field(ge=-100, le=100)]
-_Side = Annotated[float, Field(gt=0, le=4)]
 _Turn = Annotated[float, Field(ge=-360, le=360)]
 _Word = Literal["front", "left", "right", "back", "back-left", "back-right"]
 _TO_THE_LEFT_DEG: dict[str, float] = {
@@ -93,23 +103,7 @@ class SyntheticOptions(Options):
     )
     boards: int = field(1, ge=1, le=8, help="Number of targets in view, of one kind; bodies differ by colour.")
     holder: Literal["person", "stand"] = field("person", help="Holder of each board; bodies are always on a pole.")
-    board: Literal["a0", "a1", "a2"] = field("a0", help="Named size of the targets, modified by the next options.")
-    columns: int | None = field(None, ge=1, le=40, help="Inner corners, or holes, per row; null: of the named size.")
-    rows: int | None = field(None, ge=1, le=40, help="Inner corners, or holes, in a column; null: of the named size.")
-    square_m: float | None = field(
-        None, gt=0, le=2, help="Side of a square, or distance between holes, in metres; null: of the named size."
-    )
-    hole_radius_m: float | None = field(None, gt=0, le=1, help="Radius of holes in metres; null: of the named size.")
-    board_width_m: float | None = field(
-        None, gt=0, le=4, help="Width of the board in metres; null: of the named size, or fits a changed pattern."
-    )
-    board_height_m: float | None = field(
-        None, gt=0, le=4, help="Height of the board in metres; null: of the named size, or fits a changed pattern."
-    )
-    sphere_radius_m: float | None = field(None, gt=0, le=2, help="Radius of spheres in m; null: of the named size.")
-    box_size_m: tuple[_Side, _Side, _Side] | None = field(
-        None, help="Width, height, depth of boxes in metres; null: of the named size."
-    )
+    board: Literal["a0", "a1", "a2"] = field("a0", help="Paper size of boards; bodies are about as large.")
     rig: Literal["fixed", "random", "random-rings", "random-vehicle"] = field(
         "fixed",
         help="random draws camera, width_px, height_px, focal_px, mount, lidar and initial guess for each scene; "
@@ -148,7 +142,6 @@ class SyntheticOptions(Options):
     )
     noise_m: float | None = field(None, ge=0, le=1, help="Standard deviation of the range in m; null: of the model.")
     angle_noise_deg: float = field(0.02, ge=0, le=5, help="Standard deviation of the angles of each beam in degrees.")
-    max_range_m: float | None = field(None, gt=1, le=1000, help="Largest range in metres; null: of the model.")
     divergence_mrad: float | None = field(
         None, ge=0, le=50, help="Full divergence of a beam in mrad; null: of the model, 0: a ray."
     )
@@ -241,10 +234,10 @@ def _with_rig(options: SyntheticOptions, scene_number: int) -> SyntheticOptions:
     rng = _stream(options, _RIG, scene_number)
     limit = _MEGAPIXELS if options.megapixels is None else options.megapixels
     if options.rig == "random-vehicle":
-        drawn = simulate.random_vehicle(rng, megapixels=limit)
-        return options.model_copy(update={**vars(drawn), "lidar_height_m": float(rng.uniform(1.3, 2.6))})
-    drawn = simulate.random_rig(rng, megapixels=limit, rings=options.rig == "random-rings")
-    return options.model_copy(update=vars(drawn))
+        drawn = random_vehicle(rng, megapixels=limit)
+        return options.model_copy(update={**drawn, "lidar_height_m": float(rng.uniform(1.3, 2.6))})
+    drawn = random_rig(rng, megapixels=limit, rings=options.rig == "random-rings")
+    return options.model_copy(update=drawn)
 
 
 def _reduced(options: SyntheticOptions) -> SyntheticOptions:
@@ -270,31 +263,24 @@ def view(options: SyntheticOptions, scene_number: int, number: int = 0, camera: 
     The same options give identical frames.
     """
     options = _with_rig(options, scene_number)
-    names = {"seed", "place", "frames_per_scene", "period_s", "swing_deg", "tilt_deg", "lidar_height_m", "weather"}
-    names |= {"sweep_s"}
-    still = options.targets != "none" and not options.speed_m_s
-    weather = simulate.weather_of(options.weather, _stream(options, _WEATHER, scene_number))
-    scene, moments = _drive(
-        scene_number,
-        **options.model_dump(include=names),
-        around=options.rig != "fixed",
-        speed_m_s=0.0 if still else options.speed_m_s,
-        sway=0.0 if still else options.sway,
-    )
+    weather = weather_of(options.weather, _stream(options, _WEATHER, scene_number))
+    static = {"speed_m_s": 0.0, "sway": 0.0} if options.targets != "none" and not options.speed_m_s else {}
+    of_drive = SyntheticOptions(**{**options.model_dump(include=_OF_DRIVE), **static})
+    scene, moments = _drive(of_drive, scene_number)
     moment, truth = moments[number], _camera_from_body(options, scene_number, number, camera)
     if weather.name == "night":
         # A robot in a building has no headlights.
-        height_m = simulate.LIDAR_HEIGHT_M if options.lidar_height_m is None else options.lidar_height_m
-        own = () if scene.lighting.inside else simulate.headlights(moment.world_from_lidar, height_m)
-        scene = simulate.lit_near(scene, moment.world_from_lidar, own)
+        height_m = LIDAR_HEIGHT_M if options.lidar_height_m is None else options.lidar_height_m
+        own = () if scene.lighting.inside else headlights(moment.world_from_lidar, height_m)
+        scene = lit_near(scene, moment.world_from_lidar, own)
     scene, boards = _with_boards(options, scene, moment, scene_number, number)
     # In parallel with the image, because each of them has phases that use a single core.
     with ThreadPoolExecutor(1) as pool:
         sensor = _moved(moment, options)
         noise = _stream(options, _LIDAR, scene_number, number, *_place_numbers(options))
-        air = weather.air if scene.lighting.inside is None else simulate.Air()
+        air = weather.air if scene.lighting.inside is None else Air()
         motion: dict[str, Any] = {"twist": sensor.twist, "time_s": sensor.time_s}
-        future = pool.submit(simulate.sweep, scene, _lidar(options), sensor.world_from_lidar, noise, air=air, **motion)
+        future = pool.submit(sweep, scene, _lidar(options), sensor.world_from_lidar, noise, air=air, **motion)
         # Each camera of a rig has its own image noise.
         numbers = (scene_number, number, *([options.cameras.index(camera)] if camera else []))
         image, rendered = _images(options, scene, moment, truth, weather, numbers)
@@ -355,7 +341,7 @@ def _of_drive(
     camera = [pose @ se3.inverse(truth) for pose, truth in zip(lidar, truths, strict=True)]
     noise = {"noise_deg": options.odometry_noise_deg, "noise_m": options.odometry_noise_m}
     lidar_poses, camera_poses = (
-        simulate.odometry(poses, _stream(options, _ODOMETRY, scene_number, sensor), **noise)
+        odometry(poses, _stream(options, _ODOMETRY, scene_number, sensor), **noise)
         for sensor, poses in enumerate((lidar, camera))
     )
     return {
@@ -371,75 +357,50 @@ def _with_boards(
 ) -> tuple[Scene, tuple[Board, ...]]:
     """Return the scene with the boards of a frame, and the boards."""
     # Placed for the nominal mounting, not the true one, so that only the image depends on the latter.
-    target = _target(options)
-    if target is None:
+    if options.targets == "none":
         return scene, ()
     lidar_from_camera = se3.inverse(camera_from_lidar())
-    rig = simulate.Rig(camera_of(options), moment.world_from_lidar @ lidar_from_camera, moment.world_from_lidar)
-    targets, seed = (target,) * options.boards, (options.seed, _BOARDS, scene_number)
-    boards, things = simulate.boards_in_view(scene, rig, targets, options.holder, number=number, seed=seed)
+    rig = Rig(camera_of(options), moment.world_from_lidar @ lidar_from_camera, moment.world_from_lidar)
+    targets = (TARGETS[options.targets][options.board],) * options.boards
+    seed = (options.seed, _BOARDS, scene_number)
+    boards, things = boards_in_view(scene, rig, targets, options.holder, number=number, seed=seed)
     return scene.plus(things), boards
 
 
-def _target(options: SyntheticOptions) -> Target | None:
-    """Return the calibration target of the options, or None."""
-    if options.targets == "none":
-        return None
-    return simulate.target_of(options.targets, options.board, **options.model_dump(include=_TARGET_SIZES))
-
-
-def _travel_m(speed_m_s: float, period_s: float, frames: int, sweep_s: float | None) -> float:
+def _travel_m(speed_m_s: float, options: SyntheticOptions) -> float:
     """Return the length of a drive, rounded up to multiples of 10 frames, so that shorter drives share a layout.
 
     The duration `sweep_s` of a long sweep is added.
     """
-    return speed_m_s * (period_s * (10 * -(-frames // 10)) + (sweep_s or 0.0))
+    rounded = 10 * -(-options.frames_per_scene // 10)
+    return speed_m_s * (options.period_s * rounded + (options.sweep_s or 0.0))
 
 
 @lru_cache(maxsize=2)
-def _drive(
-    scene_number: int,
-    *,
-    seed: int,
-    place: str,
-    weather: str,
-    around: bool,
-    speed_m_s: float | None,
-    lidar_height_m: float | None,
-    frames_per_scene: int,
-    sweep_s: float | None,
-    period_s: float,
-    swing_deg: float,
-    tilt_deg: float,
-    sway: float,
-) -> tuple[Scene, tuple[Moment, ...]]:
-    """Return a scene and the drive through it; cached, because the frames of a drive share them."""
-    layout, shake = (np.random.default_rng([seed, stream, scene_number]) for stream in (_PLACE, _DRIVE))
-    drawn = simulate.place_of(place, layout)
-    speed_m_s = _USUAL_M_S.get(drawn, _ROAD_M_S) if speed_m_s is None else speed_m_s
-    travel = _travel_m(speed_m_s, period_s, frames_per_scene, sweep_s)
-    scene, twist = simulate.scene_of(drawn, layout, speed_m_s=speed_m_s, travel_m=travel, around=around)
-    drawn_weather = np.random.default_rng([seed, _WEATHER, scene_number])
-    scene = simulate.in_weather(scene, simulate.weather_of(weather, drawn_weather), drawn_weather)
-    if lidar_height_m is None:
-        rolled = np.random.default_rng([seed, _HEIGHT, scene_number]).uniform(*_INDOORS_M)
-        lidar_height_m = float(rolled) if drawn in simulate.INDOORS else simulate.LIDAR_HEIGHT_M
-    motion = {"period_s": period_s, "height_m": lidar_height_m, "sway": sway}
-    swing = simulate.Swing(swing_deg, tilt_deg)
-    return scene.prepare(), simulate.drive(twist, frames_per_scene, shake, swing=swing, **motion)
+def _drive(options: SyntheticOptions, scene_number: int) -> tuple[Scene, tuple[Moment, ...]]:
+    """Return a scene and the drive through it; cached for the frames of a drive, which have the same _OF_DRIVE."""
+    layout, shake = (_stream(options, purpose, scene_number) for purpose in (_PLACE, _DRIVE))
+    drawn = place_of(options.place, layout)
+    speed_m_s = _USUAL_M_S.get(drawn, _ROAD_M_S) if options.speed_m_s is None else options.speed_m_s
+    travel = _travel_m(speed_m_s, options)
+    around = options.rig != "fixed"
+    scene, twist = scene_of(drawn, layout, speed_m_s=speed_m_s, travel_m=travel, around=around)
+    drawn_weather = _stream(options, _WEATHER, scene_number)
+    scene = in_weather(scene, weather_of(options.weather, drawn_weather), drawn_weather)
+    height_m = options.lidar_height_m
+    if height_m is None:
+        rolled = _stream(options, _HEIGHT, scene_number).uniform(*_INDOORS_M)
+        height_m = float(rolled) if drawn in INDOORS else LIDAR_HEIGHT_M
+    motion = options.model_dump(include={"period_s", "sway", "swing_deg", "tilt_deg"})
+    return scene.prepare(), drive(twist, options.frames_per_scene, shake, height_m=height_m, **motion)
 
 
 def _images(
-    options: SyntheticOptions,
-    scene: Scene,
-    moment: Moment,
-    truth: Float,
-    weather: Weather,
-    numbers: tuple[int, ...],
+    options: SyntheticOptions, scene: Scene, moment: Moment, truth: Float, weather: Weather, numbers: tuple[int, ...]
 ) -> tuple[Image, RenderedImage]:
     """Return the image and its rendering; `numbers` are those of scene, frame and, on a rig, camera."""
     camera, world_from_camera = camera_of(options), moment.world_from_lidar @ se3.inverse(truth)
-    rendered = simulate.render(scene, camera, world_from_camera, moment.time_s)
+    rendered = render(scene, camera, world_from_camera, moment.time_s)
 
     grain = _stream(options, _GRAIN, *numbers)
     photo, right_photo = _photos(options, numbers[0], rendered, weather)
@@ -448,13 +409,13 @@ def _images(
         light = source.light
         if weather.rain and scene.lighting.inside is None:
             drops = _stream(options, _RAIN, *numbers, int(source is not rendered))
-            light = simulate.rained_on(light, source.depth_m, camera, se3.inverse(pose), weather, drops)
-        return simulate.develop(light, photo, grain)
+            light = rained_on(light, source.depth_m, camera, se3.inverse(pose), weather, drops)
+        return develop(light, photo, grain)
 
     rgb, right = developed(rendered, world_from_camera, photo), None
     if camera.is_pinhole and options.right:
         shifted = world_from_camera @ se3.make(translation=(BASELINE_M, 0.0, 0.0))
-        right = developed(simulate.render(scene, camera, shifted, moment.time_s), shifted, right_photo)
+        right = developed(render(scene, camera, shifted, moment.time_s), shifted, right_photo)
     masked = ~rendered.seen | rendered.foliage if options.mask_foliage else ~rendered.seen
     baseline_m = None if right is None else BASELINE_M
     image = Image(rgb, camera, right, baseline_m, rendered.depth_m, masked if masked.any() else None)
@@ -467,23 +428,17 @@ def _photos(options: SyntheticOptions, scene_number: int, rendered: RenderedImag
     exposure_ev, mismatch = drawn.uniform(-1.2, 1.5) + weather.exposure_ev, 1 + 0.05 * drawn.normal()
     if options.exposure_ev is not None:
         exposure_ev = options.exposure_ev
-    photo = simulate.Photo(
-        gain=simulate.metered_gain(rendered.light, exposure_ev, whole=options.rig != "fixed"),
-        blur_px=options.blur_px,
-        vignetting=options.vignetting,
-        grain=options.grain * weather.grain,
-        jpeg_quality=options.jpeg_quality,
-    )
-    return photo, photo.brighter(mismatch)
+    gain = metered_gain(rendered.light, exposure_ev, whole=options.rig != "fixed")
+    lens = options.model_dump(include={"blur_px", "vignetting", "jpeg_quality"})
+    photo = Photo(gain=gain, grain=options.grain * weather.grain, **lens)
+    return photo, replace(photo, gain=photo.gain * mismatch)
 
 
 def _lidar(options: SyntheticOptions) -> Any:
     """Return the LiDAR of the options, with the modified parameters."""
-    given = options.model_dump(include={"max_range_m", "divergence_mrad", "angle_noise_deg", "keeps"})
+    given = options.model_dump(include={"divergence_mrad", "angle_noise_deg", "keeps", "sweep_s"})
     given["range_noise_m"] = options.noise_m
-    given["sweep_s"] = options.sweep_s
-    changes = {name: value for name, value in given.items() if value is not None}
-    return replace(simulate.LIDARS[options.lidar], **changes)
+    return replace(LIDARS[options.lidar], **{name: value for name, value in given.items() if value is not None})
 
 
 def _stream(options: SyntheticOptions, purpose: int, *numbers: int) -> np.random.Generator:
@@ -506,13 +461,9 @@ def build(options: SyntheticOptions) -> LazyFrames:
     for text in (options.drift, options.start_error):
         parse_perturbation(text)
     if options.drift_at_frame is not None and options.drift_at_frame >= options.frames_per_scene:
-        raise InputError(
-            "the mounting changes after the end of the drive",
-            where="drift_at_frame",
-            expected=f"0 to {options.frames_per_scene - 1}",
-            got=options.drift_at_frame,
-            hint="raise frames_per_scene",
-        )
+        fault, last = "the mounting changes after the end of the drive", options.frames_per_scene - 1
+        late, hint = options.drift_at_frame, "raise frames_per_scene"
+        raise InputError(fault, where="drift_at_frame", expected=f"0 to {last}", got=late, hint=hint)
     if (options.swing_deg or options.tilt_deg) and not _most_speed_m_s(options):
         fault = "a static vehicle does not turn"
         hint = "set speed_m_s=5; with targets the vehicle is static by default"
@@ -520,7 +471,7 @@ def build(options: SyntheticOptions) -> LazyFrames:
     if options.targets != "none" and options.rig != "fixed":
         fault = "a random rig may not observe the boards"
         raise InputError(fault, where="rig, targets", expected="rig=fixed with targets", got=f"rig={options.rig}")
-    rosette = options.rig == "fixed" and isinstance(simulate.LIDARS[options.lidar], simulate.Rosette)
+    rosette = options.rig == "fixed" and isinstance(LIDARS[options.lidar], Rosette)
     if options.sweep_s is not None and not rosette:
         fault = "the duration of a revolution is that of the model"
         got = f"lidar={options.lidar}, rig={options.rig}"
@@ -528,7 +479,6 @@ def build(options: SyntheticOptions) -> LazyFrames:
     if len(set(options.cameras)) < len(options.cameras):
         names = ",".join(options.cameras)
         raise InputError("a camera is named twice", where="cameras", expected="each once", got=names)
-    _target(options)
     _require_bounded(options)
     entries = {
         _name(options, scene, number, camera): (scene, number, camera)
@@ -538,7 +488,7 @@ def build(options: SyntheticOptions) -> LazyFrames:
     }
     # `scenes` is the number of scenes only. A new option whose default changes no frame leaves all identities.
     recipe = options.model_dump(mode="json", exclude={"scenes"}, exclude_defaults=True)
-    identity = {"version": simulate.VERSION, "options": recipe}
+    identity = {"version": p2o_sim.VERSION, "options": recipe}
     return LazyFrames(
         entries, lambda entry: frame(options, *entry), identify=lambda entry: {**identity, "entry": list(entry)}
     )
@@ -550,19 +500,16 @@ def _require_bounded(options: SyntheticOptions) -> None:
     if frames > _MAX_FRAMES:
         limit = f"at most {_MAX_FRAMES} in all"
         raise InputError("too many frames", where="scenes, frames_per_scene", expected=limit, got=frames)
-    speed_m_s = _most_speed_m_s(options)
-    travel_m = _travel_m(speed_m_s, options.period_s, options.frames_per_scene, options.sweep_s)
+    travel_m = _travel_m(_most_speed_m_s(options), options)
     most, drawn = options.megapixels or np.inf, options.megapixels or _MEGAPIXELS
     megapixels = min(options.width_px * options.height_px / 1e6, most) if options.rig == "fixed" else drawn
     needed = _ALWAYS_MB + _PER_METRE_MB * travel_m * min(options.scenes, 2) + _PER_MEGAPIXEL_MB * megapixels
     if needed > _MAX_MB:
-        raise InputError(
-            "a frame would take too much memory",
-            where="frames_per_scene, speed_m_s, period_s, width_px, height_px",
-            expected=f"at most {_MAX_MB} MB",
-            got=f"about {needed:.0f} MB for drives of {travel_m:.0f} m and images of {megapixels:.1f} million pixels",
-            hint="make the drive shorter or the image smaller",
-        )
+        fault, expected = "a frame would take too much memory", f"at most {_MAX_MB} MB"
+        where = "frames_per_scene, speed_m_s, period_s, width_px, height_px"
+        hint = "make the drive shorter or the image smaller"
+        got = f"about {needed:.0f} MB for drives of {travel_m:.0f} m and images of {megapixels:.1f} million pixels"
+        raise InputError(fault, where=where, expected=expected, got=got, hint=hint)
 
 
 METHOD = Method(

@@ -106,7 +106,8 @@ def camera_from_lidar(options: VirtualKitti2Options) -> Float:
 
 
 def _read(options: VirtualKitti2Options, entry: _Entry) -> Frame:
-    from p2o_sim import LIDARS, Lidar
+    from p2o_sim.sensing.lidar import Lidar
+    from p2o_sim.sensing.sensors import LIDARS
 
     image, warnings = _image(options, entry)
     lidar = LIDARS[options.lidar]

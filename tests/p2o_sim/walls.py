@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from p2o import se3
-from p2o_sim import Board, Material, Mesh, Part, Scene, thing_of
-from p2o_sim.world.mesh import box
+from p2o_sim.things.boards import Board, thing_of
+from p2o_sim.world.mesh import Mesh, loft, rectangle
+from p2o_sim.world.scene import Material, Part, Scene
 
 GREY = Material("grey", (0.5, 0.5, 0.5), contrast=0.3, reflectance=0.5)
 WALL_X = 10.0
@@ -17,6 +18,11 @@ FORWARD = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 """Axes of a camera that looks along +x with z up, and of a board that faces it, in the world."""
 WORLD_FROM_CAMERA = se3.make(FORWARD)
 """A camera at the origin that looks along +x, with z up."""
+
+
+def box(length: float, width: float, low: float, high: float) -> Mesh:
+    """Return a box centred on the z axis from height `low` to `high`."""
+    return loft([rectangle(length, width, low), rectangle(length, width, high)])
 
 
 def walls(*, with_box: bool = True, to_sun: tuple[float, float, float] = (-1.0, 0.3, 1.0)) -> Scene:

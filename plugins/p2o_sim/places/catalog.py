@@ -5,17 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from itertools import count
-from types import MappingProxyType
 
 import numpy as np
 from p2o import Float, UnknownNameError
 
-from p2o_sim.places import empty, hall, highway, repeated, room, suburb, town, varied, woods, yard
+from p2o_sim.places import difficult, hall, highway, room, suburb, town, varied, woods, yard
 from p2o_sim.world.lighting import triple
 from p2o_sim.world.place import Layout, Plan, Thing, land_behind
 from p2o_sim.world.scene import Mover, Part, Scene
 
-SHARES: Mapping[str, float] = MappingProxyType({"street": 0.27, "suburb": 0.23, "highway": 0.17, "trees": 0.33})
+SHARES: Mapping[str, float] = {"street": 0.27, "suburb": 0.23, "highway": 0.17, "trees": 0.33}
 """Frequencies of the kinds in `mixed`: a third are trees and banks, as on real drives."""
 INDOORS = ("hall", "room")
 """Kinds of places inside buildings."""
@@ -23,9 +22,9 @@ DIFFICULT = ("repeated", "empty", "traffic")
 """Kinds of places in which a calibration may have no right result."""
 PLACES = (*SHARES, "varied", "yard", *INDOORS, *DIFFICULT)
 """Names of the kinds of places; `mixed` draws from SHARES, `anywhere` from all but `varied` and DIFFICULT."""
-_ANYWHERE: Mapping[str, float] = MappingProxyType(
-    {"street": 0.16, "suburb": 0.14, "highway": 0.1, "trees": 0.14, "yard": 0.08, "hall": 0.18, "room": 0.2}
-)
+_ANYWHERE: Mapping[str, float] = {
+    "street": 0.16, "suburb": 0.14, "highway": 0.1, "trees": 0.14, "yard": 0.08, "hall": 0.18, "room": 0.2
+}  # fmt: skip
 
 
 def place_of(place: str, rng: np.random.Generator) -> str:
@@ -55,7 +54,7 @@ def scene_of(
     makers: Mapping[str, Callable[[Plan], Layout]] = {
         "street": town.layout, "suburb": suburb.layout, "highway": highway.layout, "trees": woods.layout,
         "varied": varied.layout, "yard": yard.layout, "hall": hall.layout, "room": room.layout,
-        "repeated": repeated.layout, "empty": empty.layout, "traffic": empty.traffic_layout,
+        "repeated": difficult.repeated, "empty": difficult.empty, "traffic": difficult.traffic_alone,
     }  # fmt: skip
     maker, plan = makers[place_of(place, rng)], Plan(rng, travel_m, around)
     layout = maker(plan)

@@ -9,7 +9,7 @@ import numpy as np
 from p2o import Bool, Camera, Cloud, Float, InputError, occlusion, se3
 
 if TYPE_CHECKING:
-    from p2o_sim import Lidar
+    from p2o_sim.sensing.lidar import Lidar
 
 # Smallest cosine between a traced ray and the optical axis; other rays are outside the image.
 _MIN_FORWARD = 0.05

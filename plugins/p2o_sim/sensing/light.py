@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 from p2o import Float, Int
 from p2o.reading import pose_at
 
+from p2o_sim.sensing.photo import Single
 from p2o_sim.sensing.texture import PATTERNS, clouds, texture
 from p2o_sim.world.lighting import Inside, Lamp
 from p2o_sim.world.scene import Hits, Scene
-
-Single = NDArray[np.float32]
 
 _SUN = np.array([1.0, 0.93, 0.8], np.float32) * 3.0
 _SKY_HIGH = np.array([0.16, 0.36, 0.8], np.float32)

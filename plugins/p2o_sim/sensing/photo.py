@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,10 +29,6 @@ class Photo:
     vignetting: float = 0.0
     grain: float = 0.0
     jpeg_quality: int = 0
-
-    def brighter(self, factor: float) -> Photo:
-        """Return the same settings with `factor` times the gain."""
-        return replace(self, gain=self.gain * factor)
 
 
 def metered_gain(light: Single, exposure_ev: float = 0.0, *, whole: bool = False) -> float:

@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 from p2o import Bool, Camera, Float, UInt8, occlusion
 
 from p2o_sim.sensing.light import shade, sky
-from p2o_sim.sensing.photo import Photo, develop
+from p2o_sim.sensing.photo import Photo, Single, develop
 from p2o_sim.sensing.threads import in_slices
 from p2o_sim.world.scene import Class, Hits, Scene
-
-Single = NDArray[np.float32]
 
 # Four positions in a pixel, all in different rows and columns, for four steps at nearly vertical and horizontal edges.
 _SUBPIXELS = np.array([[-0.125, -0.375], [0.375, -0.125], [0.125, 0.375], [-0.375, 0.125]])
@@ -76,8 +74,19 @@ def render(scene: Scene, camera: Camera, world_from_camera: Float, time_s: float
     hard, leafy = _outlines(of_face, normal, classes, height, width)
     of_board = hard & (classes == Class.BOARD).reshape(height, width)
     steps = ((hard & ~of_board, _SUBPIXELS), (of_board, _BOARD_SUBPIXELS), (leafy, _LEAFY_SUBPIXELS))
-    for chosen, places in steps:
-        _refine(scene, camera, world_from_camera, time_s, rays, np.flatnonzero(chosen.ravel() & seen), places, light)
+    for outline, places in steps:
+        pixels = np.flatnonzero(outline.ravel() & seen)
+
+        def refine(part: slice, pixels: NDArray[np.int64] = pixels, places: Float = places) -> None:
+            """Replace the light of outlines by the mean over positions (K, 2) inside their pixels."""
+            chosen = pixels[part]
+            uv = np.stack([chosen % width, chosen // width], axis=1).astype(np.float64)
+            fine = camera.rays(uv[:, None] + places)
+            fine = np.where(np.isfinite(fine), fine, rays[chosen, None])  # at the rim of a fisheye's circle
+            _, colour = _look(scene, fine.reshape(-1, 3), world_from_camera, camera.focal_px, time_s)
+            light[chosen] = colour.reshape(len(chosen), len(places), 3).mean(axis=1)
+
+        in_slices(refine, len(pixels), _PIXELS_A_SLICE // len(places))
 
     light[~seen] = 0.0
     size = (height, width)
@@ -89,29 +98,6 @@ def render(scene: Scene, camera: Camera, world_from_camera: Float, time_s: float
         classes.reshape(size),
         seen.reshape(size),
     )
-
-
-def _refine(
-    scene: Scene,
-    camera: Camera,
-    world_from_camera: Float,
-    time_s: float,
-    rays: Float,
-    pixels: NDArray[np.int64],
-    places: Float,
-    light: Single,
-) -> None:
-    """Replace, in place, the light (N, 3) of pixels by the mean over positions (K, 2) inside them."""
-
-    def look(part: slice) -> None:
-        chosen = pixels[part]
-        uv = np.stack([chosen % camera.width, chosen // camera.width], axis=1).astype(np.float64)
-        fine = camera.rays(uv[:, None] + places)
-        fine = np.where(np.isfinite(fine), fine, rays[chosen, None])  # at the rim of a fisheye's circle
-        _, colour = _look(scene, fine.reshape(-1, 3), world_from_camera, camera.focal_px, time_s)
-        light[chosen] = colour.reshape(len(chosen), len(places), 3).mean(axis=1)
-
-    in_slices(look, len(pixels), _PIXELS_A_SLICE // len(places))
 
 
 @lru_cache(maxsize=2)
@@ -158,24 +144,13 @@ def _outlines(part: NDArray[np.int64], normal: Float, classes: UInt8, height: in
     return hard, leafy & ~hard
 
 
-def labels(
-    rendered: RenderedImage,
-    camera: Camera,
-    *,
-    mask_foliage: bool = False,
-    min_jump_m: float = 0.4,
-    relative_jump: float = 0.0,
-) -> occlusion.Orders:
+def labels(rendered: RenderedImage, camera: Camera, *, mask_foliage: bool = False) -> occlusion.Orders:
     """Return which pixels occlude which of their neighbours (connectivity 8), optionally without edges of leaves.
 
     `p2o.occlusion.edges_from_orders` turns the orders into directed edge pixels.
     """
+    masked = rendered.foliage if mask_foliage else None
+    depth_m, normals = rendered.depth_m, rendered.normals
     return occlusion.occlusion_orders(
-        rendered.depth_m,
-        camera,
-        min_jump_m=min_jump_m,
-        relative_jump=relative_jump,
-        normals=rendered.normals,
-        masked=rendered.foliage if mask_foliage else None,
-        connectivity=8,
+        depth_m, camera, min_jump_m=0.4, relative_jump=0.0, normals=normals, masked=masked, connectivity=8
     )

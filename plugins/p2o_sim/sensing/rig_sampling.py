@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from p2o import Float, se3
@@ -27,24 +26,8 @@ _TO_THE_SIDE_DEG = (-55.0, 55.0, -110.0, 110.0, 180.0)
 _LOWEST_M, _HIGHEST_M = (-0.4, -0.4, -0.3), (0.6, 0.4, 0.3)
 
 
-@dataclass(frozen=True)
-class RandomRig:
-    """A `camera` model of `width_px` x `height_px` and `focal_px`, mounted at `mount`, with a named `lidar`.
-
-    `mount` (6,) is x, y, z in metres in the LiDAR frame, then the rotation vector in degrees in camera axes relative to
-    straight ahead.
-    """
-
-    camera: Model
-    width_px: int
-    height_px: int
-    focal_px: float
-    mount: tuple[float, ...]
-    lidar: str
-
-
-def random_rig(rng: np.random.Generator, *, megapixels: float = 2.0, rings: bool = False) -> RandomRig:
-    """Draw a rig; with `rings`, its LiDAR has rings.
+def random_rig(rng: np.random.Generator, *, megapixels: float = 2.0, rings: bool = False) -> dict[str, Any]:
+    """Draw the options camera, width_px, height_px, focal_px, mount and lidar; with `rings`, the LiDAR has rings.
 
     The focal length is log-uniform within FOCAL_PX and the bounds that FIELD_DEG gives for the image size; images of
     more than `megapixels` are reduced with their focal lengths. The yaw is arbitrary (with a rosette: ahead), the pitch
@@ -52,29 +35,29 @@ def random_rig(rng: np.random.Generator, *, megapixels: float = 2.0, rings: bool
     """
     names = [name for name in DRAWN_LIDARS if not (rings and isinstance(LIDARS[name], Rosette))]
     lidar = str(rng.choice(names))
-    model, width, height, focal_px = _camera(rng, megapixels)
+    camera = _camera(rng, megapixels)
     narrow = isinstance(LIDARS[lidar], Rosette)
     yaw = rng.uniform(-8.0, 8.0) if narrow else rng.uniform(-180.0, 180.0)
     pitch = rng.uniform(-4.0, 4.0) if narrow else rng.uniform(-10.0, 10.0)
     draw, side = rng.random(), rng.choice([-90.0, 90.0])
     roll = 3.0 * rng.normal() + (side if draw < 0.1 else 180.0 if draw < 0.2 else 0.0)
-    return RandomRig(model, width, height, focal_px, _mount(rng, pitch, yaw, roll), lidar)
+    return {**camera, "mount": _mount(rng, pitch, yaw, roll), "lidar": lidar}
 
 
-def random_vehicle(rng: np.random.Generator, *, megapixels: float = 2.0) -> RandomRig:
+def random_vehicle(rng: np.random.Generator, *, megapixels: float = 2.0) -> dict[str, Any]:
     """Draw the rig of a car or a robot on a road: a LiDAR with rings and one of its upright cameras.
 
     Six cameras in ten look ahead, the others to one of the directions of a rig of six. The camera is that of
     `random_rig`.
     """
     lidar = str(rng.choice([name for name in DRAWN_LIDARS if not isinstance(LIDARS[name], Rosette)]))
-    model, width, height, focal_px = _camera(rng, megapixels)
+    camera = _camera(rng, megapixels)
     yaw = 2.0 * rng.normal() if rng.random() < 0.6 else rng.choice(_TO_THE_SIDE_DEG) + 8.0 * rng.normal()
     mount = _mount(rng, 3.0 * rng.normal(), float(yaw), 1.5 * rng.normal())
-    return RandomRig(model, width, height, focal_px, mount, lidar)
+    return {**camera, "mount": mount, "lidar": lidar}
 
 
-def _camera(rng: np.random.Generator, megapixels: float) -> tuple[Model, int, int, float]:
+def _camera(rng: np.random.Generator, megapixels: float) -> dict[str, Any]:
     """Draw the model of a camera, its width, height and focal length in pixels, reduced to `megapixels`."""
     model = _MODELS[rng.choice(len(_MODELS), p=[share for _, share in _MODELS])][0]
     width, height = SIZES_PX[rng.integers(len(SIZES_PX))]
@@ -83,7 +66,7 @@ def _camera(rng: np.random.Generator, megapixels: float) -> tuple[Model, int, in
     focal_px = float(np.exp(rng.uniform(np.log(low), np.log(high))))
     scale = min(1.0, np.sqrt(megapixels * 1e6 / (width * height)))
     width, height = (max(64, round(side * scale)) for side in (width, height))
-    return model, width, height, focal_px * float(scale)
+    return {"camera": model, "width_px": width, "height_px": height, "focal_px": focal_px * float(scale)}
 
 
 def _mount(rng: np.random.Generator, pitch_deg: float, yaw_deg: float, roll_deg: float) -> tuple[float, ...]:

@@ -55,8 +55,7 @@ def sweep(
     distance = middle.distance_m.copy()
     if lidar.divergence_mrad > 0:
         rows = np.flatnonzero(_may_be_split(scene, middle, beams))
-        radius = lidar.divergence_mrad / 2000
-        distance[rows], strength[rows] = _merged(scene, pulses, lidar, aimed, rows, middle, strength[rows], radius)
+        distance[rows], strength[rows] = _merged(pulses, lidar, aimed, rows, middle, strength[rows])
 
     energy = strength * speckle / np.maximum(distance, 0.1) ** 2
     if air.extinction_per_m > 0:
@@ -151,27 +150,20 @@ def _may_be_split(scene: Scene, hits: Hits, beams: Beams) -> Bool:
 
 
 def _merged(
-    scene: Scene,
-    pulses: _Pulses,
-    lidar: Lidar | Rosette,
-    aimed: Float,
-    rows: Int,
-    middle: Hits,
-    middle_strength: Float,
-    radius: float,
+    pulses: _Pulses, lidar: Lidar | Rosette, aimed: Float, rows: Int, middle: Hits, middle_strength: Float
 ) -> tuple[Float, Float]:
     """Return distance (M,) and strength (M,) of pulses `rows` whose footprint may cover several surfaces."""
     distance = np.empty((len(rows), 1 + len(_AROUND)))
     strength = np.empty_like(distance)
     distance[:, 0], strength[:, 0] = middle.distance_m[rows], middle_strength
     one_plane = middle.face[rows] >= 0
-    normal = middle.normal[rows]
+    normal, radius = middle.normal[rows], lidar.divergence_mrad / 2000
     at = pulses.world(aimed[rows], rows) * np.where(one_plane, distance[:, 0], 0.0)[:, None]
     for column, offset in enumerate(_AROUND, start=1):
         directions = _tilted(aimed[rows], np.broadcast_to(radius * offset, (len(rows), 2)))
         hits = pulses.cast(directions, rows)
         world = pulses.world(directions, rows)
-        distance[:, column], strength[:, column] = hits.distance_m, _strength(scene, hits, world)
+        distance[:, column], strength[:, column] = hits.distance_m, _strength(pulses.scene, hits, world)
         with np.errstate(invalid="ignore"):
             away = np.einsum("ni,ni->n", normal, world * hits.distance_m[:, None] - at)
             one_plane &= np.abs(away) < _SAME_PLANE_M

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from types import MappingProxyType
 
 import numpy as np
 
@@ -42,43 +41,40 @@ _HDL_64E = Lidar(
 Its range is limited to 80 m, as in KITTI's files.
 """
 
-LIDARS: Mapping[str, Lidar | Rosette] = MappingProxyType(
-    {
-        "hdl-64e": _HDL_64E,
-        "hdl-32e": Lidar(
-            name="HDL-32E", elevation_deg=_even(10.67, -30.67, 32), columns=2170, max_range_m=100.0, divergence_mrad=2.8
-        ),
-        "vlp-16": Lidar(
-            name="VLP-16", elevation_deg=_even(15.0, -15.0, 16), columns=1809, max_range_m=100.0, range_noise_m=0.03,
-            divergence_mrad=3.0,
-        ),
-        "os1-64": Lidar(
-            name="OS1-64 gen 1", elevation_deg=_even(17.042, -16.300, 64), azimuth_deg=(3.07, 0.92, -1.24, -3.39) * 16,
-            columns=1024, range_noise_m=0.015, divergence_mrad=3.1,
-        ),
-        "os1-128": Lidar(
-            name="OS1-128", elevation_deg=_even(22.5, -22.5, 128), columns=1024, range_noise_m=0.015,
-            divergence_mrad=3.1,
-        ),
-        "pandar64": Lidar(
-            name="Pandar64", elevation_deg=_PANDAR_ELEVATION_DEG, azimuth_deg=_PANDAR_AZIMUTH_DEG, columns=1800,
-            min_range_m=0.3, max_range_m=200.0, dark_range_m=200.0, divergence_mrad=2.0,
-        ),
-        "mid-40": Rosette(
-            name="Livox Mid-40", deflection_deg=(9.6, 9.6), rpm=(7294.0, -4664.0), points_per_s=100_000.0,
-            max_range_m=260.0, dark_range_m=90.0, divergence_mrad=4.9,
-        ),
-        "avia": Rosette(
-            name="Livox Avia", deflection_deg=(17.6, 17.6), rpm=(7294.0, -4664.0), points_per_s=240_000.0,
-            lines_deg=_even(3.4, -3.4, 6), min_range_m=1.0, max_range_m=450.0, dark_range_m=190.0, divergence_mrad=4.9,
-        ),
-        "mid-360": Rosette(
-            name="Livox Mid-360", deflection_deg=(14.0, 14.0), rpm=(1207.0, -7411.0), points_per_s=200_000.0,
-            lines_deg=_even(24.0, 21.0, 4), spin_rpm=613.0, min_range_m=0.1, max_range_m=70.0, dark_range_m=40.0,
-            divergence_mrad=4.9,
-        ),
-    }
-)  # fmt: skip
+LIDARS: Mapping[str, Lidar | Rosette] = {
+    "hdl-64e": _HDL_64E,
+    "hdl-32e": Lidar(
+        name="HDL-32E", elevation_deg=_even(10.67, -30.67, 32), columns=2170, max_range_m=100.0, divergence_mrad=2.8,
+    ),
+    "vlp-16": Lidar(
+        name="VLP-16", elevation_deg=_even(15.0, -15.0, 16), columns=1809, max_range_m=100.0, range_noise_m=0.03,
+        divergence_mrad=3.0,
+    ),
+    "os1-64": Lidar(
+        name="OS1-64 gen 1", elevation_deg=_even(17.042, -16.300, 64), azimuth_deg=(3.07, 0.92, -1.24, -3.39) * 16,
+        columns=1024, range_noise_m=0.015, divergence_mrad=3.1,
+    ),
+    "os1-128": Lidar(
+        name="OS1-128", elevation_deg=_even(22.5, -22.5, 128), columns=1024, range_noise_m=0.015, divergence_mrad=3.1,
+    ),
+    "pandar64": Lidar(
+        name="Pandar64", elevation_deg=_PANDAR_ELEVATION_DEG, azimuth_deg=_PANDAR_AZIMUTH_DEG, columns=1800,
+        min_range_m=0.3, max_range_m=200.0, dark_range_m=200.0, divergence_mrad=2.0,
+    ),
+    "mid-40": Rosette(
+        name="Livox Mid-40", deflection_deg=(9.6, 9.6), rpm=(7294.0, -4664.0), points_per_s=100_000.0,
+        max_range_m=260.0, dark_range_m=90.0, divergence_mrad=4.9,
+    ),
+    "avia": Rosette(
+        name="Livox Avia", deflection_deg=(17.6, 17.6), rpm=(7294.0, -4664.0), points_per_s=240_000.0,
+        lines_deg=_even(3.4, -3.4, 6), min_range_m=1.0, max_range_m=450.0, dark_range_m=190.0, divergence_mrad=4.9,
+    ),
+    "mid-360": Rosette(
+        name="Livox Mid-360", deflection_deg=(14.0, 14.0), rpm=(1207.0, -7411.0), points_per_s=200_000.0,
+        lines_deg=_even(24.0, 21.0, 4), spin_rpm=613.0, min_range_m=0.1, max_range_m=70.0, dark_range_m=40.0,
+        divergence_mrad=4.9,
+    ),
+}  # fmt: skip
 """All LiDAR models by name.
 
 Avia and Mid-360 have fields of view, rates and ranges of their data sheets; the speeds of their optics are not

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from p2o import Float, Int
 
-Single = NDArray[np.float32]
+from p2o_sim.sensing.photo import Single
 
 PATTERNS = ("rough", "plain", "asphalt", "brick", "slabs", "grass", "streaks", "tiles")
 """Names of the patterns of materials."""

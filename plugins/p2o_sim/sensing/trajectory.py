@@ -26,21 +26,6 @@ class Moment:
     twist: Float
 
 
-@dataclass(frozen=True)
-class Swing:
-    """Deviation of a vehicle from the straight line of its road: slalom, and slopes of uneven ground.
-
-    The yaw is at most `turn_deg` to either side, at a lateral offset of at most SWING_M; pitch and roll are at most
-    `tilt_deg`.
-    """
-
-    turn_deg: float = 0.0
-    tilt_deg: float = 0.0
-
-    def __bool__(self) -> bool:
-        return self.turn_deg != 0.0 or self.tilt_deg != 0.0
-
-
 SWING_M = 1.2
 """Largest lateral offset in a slalom."""
 _PITCH_M, _ROLL_M = 13.0, 8.5
@@ -56,13 +41,15 @@ def drive(
     period_s: float = 0.1,
     height_m: float = LIDAR_HEIGHT_M,
     sway: float = 1.0,
-    swing: Swing | None = None,
+    swing_deg: float = 0.0,
+    tilt_deg: float = 0.0,
 ) -> tuple[Moment, ...]:
     """Return the moments of a drive of `frames` frames at constant vehicle velocity `twist` (6,) from the origin.
 
     The LiDAR is `height_m` above the road. At each frame the vehicle has another pose on its suspension (pitch and yaw
     0.3, roll 0.2 degrees, 2 cm vertically and 5 cm laterally, standard deviations times `sway`), constant during the
-    sweep. A `swing` adds yaw and tilt; `twist` is then the velocity along the road.
+    sweep. A slalom adds a yaw of at most `swing_deg` to either side at a lateral offset of at most SWING_M, and uneven
+    ground pitch and roll of at most `tilt_deg`; `twist` is then the velocity along the road.
     """
     shake = sway * rng.normal(size=(frames, 6)) * np.array([0.0035, 0.005, 0.005, 0.0, 0.05, 0.02])
     phases = rng.uniform(0.0, 2 * np.pi, 3)
@@ -71,23 +58,23 @@ def drive(
         car_from_lidar = se3.exp(shake[number]) @ se3.make(translation=(0.0, 0.0, height_m))
         at = number * period_s
         world_from_car, car_twist = pose_at(twist, at), twist
-        if swing:
+        if swing_deg or tilt_deg:
             times = (at - _INSTANT_S, at, at + _INSTANT_S)
-            before, world_from_car, after = (_swung(twist, swing, phases, time_s) for time_s in times)
+            before, world_from_car, after = (_swung(twist, swing_deg, tilt_deg, phases, time_s) for time_s in times)
             car_twist = se3.log(se3.inverse(before) @ after) / (2 * _INSTANT_S)
         own = adjoint(se3.inverse(car_from_lidar), car_twist)
         moments.append(Moment(at, world_from_car @ car_from_lidar, own))
     return tuple(moments)
 
 
-def _swung(twist: Float, swing: Swing, phases: Float, time_s: float) -> Float:
+def _swung(twist: Float, swing_deg: float, tilt_deg: float, phases: Float, time_s: float) -> Float:
     """Return world_from_car (4, 4) on a sine about the road, whose steepest slope is the largest yaw."""
     distance = float(twist[3]) * time_s
-    slope = np.tan(np.radians(swing.turn_deg))
+    slope = np.tan(np.radians(swing_deg))
     wave = slope / SWING_M
     aside = SWING_M * np.sin(wave * distance + phases[0]) if slope else 0.0
     yaw = np.arctan(slope * np.cos(wave * distance + phases[0]))
-    tilt = np.radians(swing.tilt_deg)
+    tilt = np.radians(tilt_deg)
     pitch, roll = (
         tilt * np.sin(2 * np.pi * distance / length + phase)
         for length, phase in zip((_PITCH_M, _ROLL_M), phases[1:], strict=True)

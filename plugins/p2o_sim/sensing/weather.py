@@ -5,21 +5,22 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from p2o import Camera, Float, UnknownNameError, se3
 
 from p2o_sim.sensing.lidar import CLEAR_AIR, Air
+from p2o_sim.sensing.photo import Single
 from p2o_sim.world.lighting import Lamp, Lighting, triple
 from p2o_sim.world.palette import GLASS, HEADLIGHT, SIGN_BACK, TAIL_LIGHT
 from p2o_sim.world.scene import Class, Material, Part, Scene
 
-Single = NDArray[np.float32]
 WEATHERS = ("clear", "overcast", "rain", "fog", "night")
 """Names of the kinds of weather; `any` draws one of them."""
 _SHARES = (0.35, 0.2, 0.15, 0.12, 0.18)
 _LAMPS_AT_NIGHT = 8
 _STREET_LAMPS = ((1.0, 0.6, 0.25), (1.0, 0.92, 0.8), (0.85, 0.95, 1.0))
 """Sodium, warm white and cold white."""
+_LIT = {id(HEADLIGHT): 12.0, id(TAIL_LIGHT): 3.0, id(SIGN_BACK): 15.0}
+"""Glow at night of lamps, which are identified by their material."""
 _FALL_M_S, _SHUTTER_S, _DROP_M = 7.0, 0.01, 0.002
 _STREAKS_FROM_M, _STREAKS_TO_M = 0.4, 5.0
 
@@ -84,8 +85,19 @@ def in_weather(scene: Scene, weather: Weather, rng: np.random.Generator) -> Scen
     inside, indoors = lighting.inside, lighting.inside is not None
     if inside is not None and weather.name == "night":
         inside = replace(inside, ambient=triple(0.6 * share for share in inside.ambient))
-    lamps = tuple(lamp.times(max(weather.sky)) if lamp.daylight else lamp for lamp in lighting.lamps)
-    change = _Surfaces(rng, weather, indoors=indoors)
+    day = max(weather.sky)
+    lamps = tuple(
+        replace(lamp, colour=triple(day * share for share in lamp.colour)) if lamp.daylight else lamp
+        for lamp in lighting.lamps
+    )
+
+    def change(part: Part) -> Part:
+        if weather.rain > 0:
+            material = _wet(part, weather.rain, indoors=indoors)
+        else:
+            material = _at_night(part, rng) if weather.name == "night" else part.material
+        return part if material is part.material else replace(part, material=material)
+
     parts = tuple(map(change, scene.parts))
     movers = tuple(replace(mover, parts=tuple(map(change, mover.parts))) for mover in scene.movers)
     if weather.name == "night":
@@ -95,40 +107,28 @@ def in_weather(scene: Scene, weather: Weather, rng: np.random.Generator) -> Scen
     return replace(scene, parts=parts, movers=movers, lighting=changed)
 
 
-class _Surfaces:
-    """Changes of surfaces by weather; except for windows, each material changes in the same way everywhere."""
-
-    def __init__(self, rng: np.random.Generator, weather: Weather, *, indoors: bool) -> None:
-        self.rng, self.weather, self.indoors = rng, weather, indoors
-        self.wet = (0.1 + 0.16 * weather.rain, 0.72 - 0.2 * weather.rain)
-        self.night = weather.name == "night"
-
-    def __call__(self, part: Part) -> Part:
-        material = self._wet(part) if self.weather.rain > 0 else self._at_night(part) if self.night else part.material
-        return part if material is part.material else replace(part, material=material)
-
-    def _wet(self, part: Part) -> Material:
-        """Return a wet surface: the ground is darker, reflects, and returns less energy to a LiDAR."""
-        gloss, dark = self.wet
-        material = part.material
-        if part.kind not in (Class.ROAD, Class.PAVEMENT, Class.TERRAIN) or (self.indoors and part.kind == Class.ROAD):
-            return material
-        if part.kind == Class.TERRAIN:  # grass and soil do not mirror
-            gloss, dark = 0.0, 0.5 + 0.5 * dark
-        colour, reflectance = triple(dark * share for share in material.colour), dark * material.reflectance
-        return replace(material, colour=colour, gloss=max(gloss, material.gloss), reflectance=reflectance)
-
-    def _at_night(self, part: Part) -> Material:
-        """Return a lamp that is on, a lit window, or the unchanged material."""
-        material = part.material
-        if material is HEADLIGHT or material is TAIL_LIGHT:
-            return replace(material, glow=12.0 if material is HEADLIGHT else 3.0)
-        if material is SIGN_BACK:
-            return replace(material, glow=15.0)
-        if material is GLASS and part.kind == Class.BUILDING and self.rng.random() < 0.35:
-            warm, glow = (0.9, 0.66, 0.36), float(self.rng.uniform(0.08, 0.6))
-            return replace(material, name="lit window", colour=warm, contrast=0.5, pattern="slabs", glow=glow)
+def _wet(part: Part, rain: float, *, indoors: bool) -> Material:
+    """Return the material of a part in rain: the ground is darker, reflects, and returns less energy to a LiDAR."""
+    material = part.material
+    if part.kind not in (Class.ROAD, Class.PAVEMENT, Class.TERRAIN) or (indoors and part.kind == Class.ROAD):
         return material
+    gloss, dark = 0.1 + 0.16 * rain, 0.72 - 0.2 * rain
+    if part.kind == Class.TERRAIN:  # grass and soil do not mirror
+        gloss, dark = 0.0, 0.5 + 0.5 * dark
+    colour, reflectance = triple(dark * share for share in material.colour), dark * material.reflectance
+    return replace(material, colour=colour, gloss=max(gloss, material.gloss), reflectance=reflectance)
+
+
+def _at_night(part: Part, rng: np.random.Generator) -> Material:
+    """Return the material of a lamp that is on, of a lit window, or the unchanged one."""
+    material = part.material
+    glow = _LIT.get(id(material))
+    if glow is not None:
+        return replace(material, glow=glow)
+    if material is GLASS and part.kind == Class.BUILDING and rng.random() < 0.35:
+        warm, glow = (0.9, 0.66, 0.36), float(rng.uniform(0.08, 0.6))
+        return replace(material, name="lit window", colour=warm, contrast=0.5, pattern="slabs", glow=glow)
+    return material
 
 
 def _street_lamps(rng: np.random.Generator, parts: tuple[Part, ...]) -> tuple[Lamp, ...]:

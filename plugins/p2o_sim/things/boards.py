@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
-from typing import Literal
 
 import numpy as np
 from p2o import Box, Checkerboard, Float, HoleBoard, InputError, Sphere, Target, se3
@@ -13,25 +11,33 @@ from p2o import Box, Checkerboard, Float, HoleBoard, InputError, Sphere, Target,
 from p2o_sim.things.bodies import body_parts
 from p2o_sim.world.mesh import Mesh, join, quads, stacked
 from p2o_sim.world.place import Thing
-from p2o_sim.world.scene import Class, Material, Part
+from p2o_sim.world.scene import Class, Material, built
 
 THICKNESS_M = 0.008
 """Distance between front and back of every board."""
-CHECKERBOARDS: Mapping[str, Checkerboard] = MappingProxyType(
-    {
+
+
+def _holes_of(width_m: float, height_m: float, pitch_m: float, radius_m: float) -> HoleBoard:
+    """Return a board with four holes whose neighbours are `pitch_m` apart."""
+    places = (-pitch_m / 2, pitch_m / 2)
+    return HoleBoard(width_m, height_m, tuple((u, v, radius_m) for v in places for u in places))
+
+
+TARGETS: Mapping[str, Mapping[str, Target]] = {
+    "checkerboard": {
         "a0": Checkerboard(9, 6, 0.108, 1.189, 0.841),
         "a1": Checkerboard(7, 4, 0.095, 0.841, 0.594),
         "a2": Checkerboard(7, 4, 0.066, 0.594, 0.420),
-    }
-)
-"""Checkerboards on paper of these sizes; each differs from itself rotated by 180 degrees."""
-_HOLES = {"a0": (0.4, 0.12), "a1": (0.28, 0.085), "a2": (0.2, 0.06)}
-# Distance between the centres of neighbouring holes and their radius in metres, two holes each way.
-SPHERES: Mapping[str, Sphere] = MappingProxyType({"a0": Sphere(0.3), "a1": Sphere(0.2), "a2": Sphere(0.125)})
-BOXES: Mapping[str, Box] = MappingProxyType(
-    {"a0": Box(0.9, 0.7, 0.5), "a1": Box(0.65, 0.5, 0.35), "a2": Box(0.45, 0.35, 0.25)}
-)
-"""Spheres and boxes of these names, of about the size of the boards."""
+    },
+    "holes": {
+        "a0": _holes_of(1.189, 0.841, 0.4, 0.12),
+        "a1": _holes_of(0.841, 0.594, 0.28, 0.085),
+        "a2": _holes_of(0.594, 0.420, 0.2, 0.06),
+    },
+    "sphere": {"a0": Sphere(0.3), "a1": Sphere(0.2), "a2": Sphere(0.125)},
+    "box": {"a0": Box(0.9, 0.7, 0.5), "a1": Box(0.65, 0.5, 0.35), "a2": Box(0.45, 0.35, 0.25)},
+}
+"""Targets of each kind by the size of their paper; each checkerboard differs from itself rotated by 180 degrees."""
 _SIDES = 96  # of the polygon that approximates a hole, to 0.05 % of its radius
 
 WHITE = Material("board white", (0.75, 0.75, 0.74), contrast=0.1, reflectance=0.8, pattern="plain")
@@ -57,64 +63,17 @@ class Board:
         return se3.apply(self.world_from_board, self.target.outline)
 
 
-def target_of(
-    kind: Literal["checkerboard", "holes", "sphere", "box"],
-    name: str,
-    *,
-    columns: int | None = None,
-    rows: int | None = None,
-    square_m: float | None = None,
-    hole_radius_m: float | None = None,
-    board_width_m: float | None = None,
-    board_height_m: float | None = None,
-    sphere_radius_m: float | None = None,
-    box_size_m: tuple[float, float, float] | None = None,
-) -> Target:
-    """Return the target of a named size, with the given values instead of its own.
-
-    `columns` x `rows` are inner corners, `square_m` the side of a square; for holes their number and the distance of
-    their centres. A board with a given pattern but without a given size is half a square wider than the pattern.
-    `box_size_m` is width, height and depth of a box.
-
-    Raises InputError if the pattern does not fit on the board.
-    """
-    if kind == "sphere":
-        return SPHERES[name] if sphere_radius_m is None else Sphere(sphere_radius_m)
-    if kind == "box":
-        return BOXES[name] if box_size_m is None else Box(*box_size_m)
-    paper = CHECKERBOARDS[name]
-    own_pattern = not (columns is None and rows is None and square_m is None)
-    if kind == "checkerboard":
-        across, down, step = columns or paper.columns, rows or paper.rows, square_m or paper.square_m
-        fitting = ((across + 2) * step, (down + 2) * step)
-    else:
-        pitch, radius = _HOLES[name]
-        across, down, step = columns or 2, rows or 2, square_m or pitch
-        radius = hole_radius_m or (0.3 * step if own_pattern else radius)
-        fitting = ((across + 0.5) * step, (down + 0.5) * step)
-    width, height = fitting if own_pattern else (paper.width_m, paper.height_m)
-    size = (width if board_width_m is None else board_width_m, height if board_height_m is None else board_height_m)
-    if kind == "checkerboard":
-        return Checkerboard(across, down, step, *size)
-    x, y = ((np.arange(count) - (count - 1) / 2) * step for count in (across, down))
-    return HoleBoard(*size, tuple((float(u), float(v), radius) for v in y for u in x))
-
-
 def thing_of(board: Board, number: int = 0) -> Thing:
     """Return the parts of a board or body at its pose; `number` selects the colour of a body.
 
     Raises InputError for holes that overlap, or nearly touch one another or the rim.
     """
-    return [
-        Part(Mesh(se3.apply(board.world_from_board, mesh.vertices), mesh.faces), material, kind=Class.BOARD)
-        for mesh, material in _parts(board.target, number)
-    ]
-
-
-def _parts(target: Target, number: int) -> list[tuple[Mesh, Material]]:
+    target, pose = board.target, board.world_from_board
     if isinstance(target, Checkerboard):
-        return _checkerboard(target)
-    return _holes(target) if isinstance(target, HoleBoard) else body_parts(target, number)
+        solids = _checkerboard(target)
+    else:
+        solids = _holes(target) if isinstance(target, HoleBoard) else body_parts(target, number)
+    return built(Class.BOARD, *((Mesh(se3.apply(pose, mesh.vertices), mesh.faces), paint) for mesh, paint in solids))
 
 
 def _checkerboard(target: Checkerboard) -> list[tuple[Mesh, Material]]:

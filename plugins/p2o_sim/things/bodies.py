@@ -12,15 +12,9 @@ from p2o_sim.world.place import Thing
 from p2o_sim.world.scene import Class, Material, Part
 
 COLOURS = {
-    "magenta": (0.55, 0.04, 0.36),
-    "blue": (0.05, 0.11, 0.6),
-    "green": (0.05, 0.42, 0.08),
-    "red": (0.6, 0.05, 0.05),
-    "orange": (0.65, 0.21, 0.02),
-    "teal": (0.02, 0.36, 0.4),
-    "violet": (0.24, 0.07, 0.58),
-    "lime": (0.3, 0.48, 0.02),
-}
+    "magenta": (0.55, 0.04, 0.36), "blue": (0.05, 0.11, 0.6), "green": (0.05, 0.42, 0.08), "red": (0.6, 0.05, 0.05),
+    "orange": (0.65, 0.21, 0.02), "teal": (0.02, 0.36, 0.4), "violet": (0.24, 0.07, 0.58), "lime": (0.3, 0.48, 0.02),
+}  # fmt: skip
 """Colours of bodies, linear RGB, in the order of the bodies of a frame."""
 TONES = (1.0, 0.74, 0.55)
 """Brightness of the faces of a box normal to its x, y and z axis, so that each edge is visible in any light."""

@@ -301,13 +301,10 @@ def plant(rng: np.random.Generator) -> Thing:
     share = rng.uniform(0.3, 1.05, (count, 1)) ** 0.7
     centre = tips[rng.integers(stems, size=count)] * share + rng.normal(0, 0.09, (count, 3))
     centre[:, 2] = np.maximum(centre[:, 2], 1.8 * pot)
-    foliage = leaves(centre, rng.uniform(0.08, 0.26, count), rng)
-    base = np.tile([0.0, 0.0, 1.7 * pot], (stems, 1))
-    return [
-        Part(tub, paint),
-        Part(tubes(base, tips, 0.012, sides=5), BARK, kind=Class.TRUNK),
-        Part(foliage, leaf(rng), kind=Class.FOLIAGE, openness=rng.uniform(0.5, 1.0, 2 * count)),
-    ]
+    mesh = leaves(centre, rng.uniform(0.08, 0.26, count), rng)
+    foliage = Part(mesh, leaf(rng), kind=Class.FOLIAGE, openness=rng.uniform(0.5, 1.0, 2 * count))
+    branches = tubes(np.tile([0.0, 0.0, 1.7 * pot], (stems, 1)), tips, 0.012, sides=5)
+    return [Part(tub, paint), Part(branches, BARK, kind=Class.TRUNK), foliage]
 
 
 def floor_lamp(rng: np.random.Generator) -> Thing:
@@ -337,11 +334,8 @@ def pendant(rng: np.random.Generator, ceiling: float, low: float, glow: float) -
     bulb = Material("bulb", (0.9, 0.82, 0.62), 0.0, 0.5, pattern="plain", glow=glow)
     hood = cylinder(radius, low, low + 0.22, top_radius=0.35 * radius)
     cord = cylinder(0.008, low + 0.2, ceiling + 0.02, sides=5)
-    return [
-        Part(hood, shade),
-        Part(cord, TRIM, kind=Class.POLE),
-        Part(cylinder(0.8 * radius, low - 0.01, low + 0.001), bulb),
-    ]
+    disc = cylinder(0.8 * radius, low - 0.01, low + 0.001)
+    return [Part(hood, shade), Part(cord, TRIM, kind=Class.POLE), Part(disc, bulb)]
 
 
 def strip_light(length: float, wide: float, ceiling: float, drop: float, glow: float) -> Thing:

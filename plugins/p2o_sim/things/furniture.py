@@ -6,7 +6,7 @@ import numpy as np
 
 from p2o_sim.world.mesh import boxes, cylinder, join, sized, stacked, tubes, wheel
 from p2o_sim.world.palette import CLOTH, CONCRETE, DARK_STEEL, GLASS, SIGN_BACK, SIGNS, STEEL, TRIM, WOOD, pick
-from p2o_sim.world.scene import Class, Material, Part
+from p2o_sim.world.scene import Class, Material, Part, built
 
 
 def lamp(rng: np.random.Generator, *, high: float = 0.0) -> list[Part]:
@@ -109,10 +109,7 @@ def noise_wall(rng: np.random.Generator, length: float) -> list[Part]:
     colour = pick(rng, ((0.3, 0.33, 0.26), (0.36, 0.34, 0.3), (0.2, 0.26, 0.2)))
     panels = boxes([[0, -0.08, -0.5]], [[length, 0.08, high]])
     posts = sized(stacked(np.arange(0.0, length, 4.0), -0.14, -0.5), [0.2, 0.28, high + 0.6])
-    return [
-        Part(panels, Material("panel", colour, 0.4, 0.4, pattern="tiles"), kind=Class.WALL),
-        Part(posts, DARK_STEEL, kind=Class.WALL),
-    ]
+    return built(Class.WALL, (panels, Material("panel", colour, 0.4, 0.4, pattern="tiles")), (posts, DARK_STEEL))
 
 
 def shelter(rng: np.random.Generator) -> list[Part]:

@@ -11,7 +11,8 @@ from p2o_sim.world.mesh import sized, stacked, swept
 from p2o_sim.world.palette import ASPHALT, GRASS, KERB, PAINT, PAVING
 from p2o_sim.world.scene import Class, Material, Part
 
-_STEP_M = 4.0
+_STEP_M, _LAND_M = 4.0, 110.0
+"""Distance between stations along x, and width of open land."""
 
 
 def stations(start: float, stop: float, step: float = _STEP_M) -> Float:
@@ -50,13 +51,12 @@ def land(
     *,
     rise: float = 0.0,
     over: float = 10.0,
-    width: float = 110.0,
     rough: float = 0.15,
     material: Material = GRASS,
 ) -> Part:
     """Return open land from the line (y, z) `outwards`, +1 left, -1 right: a bank of `over` metres, then waves."""
     away = np.array([0.0, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.0]) * over
-    away = np.concatenate([away, over + np.geomspace(3.0, width - over, 9)])
+    away = np.concatenate([away, over + np.geomspace(3.0, _LAND_M - over, 9)])
     bank = rise * (0.5 - 0.5 * np.cos(np.pi * np.clip(away / over, 0, 1)))
     bumps = rng.normal(size=(len(x), len(away))) * rough * np.clip(away / 2.0, 0, 1)
     waves = 0.02 * np.clip(away - over, 0, None) * np.sin(x[:, None] / 31.0 + rng.uniform(0, 6))

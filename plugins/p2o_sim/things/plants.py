@@ -122,21 +122,15 @@ def _crown(rng: np.random.Generator, place: Float, size: float, centre: Float, h
     """Return leaves at positions (N, 3); low ones and those deep inside the ellipsoid see less of the sky."""
     inside = (place - centre) / half
     depth = np.clip(1.1 - np.linalg.norm(inside, axis=1), 0, 1)
-    return _foliage(
-        rng, place, size, leaf(rng), distance_m, np.clip(0.95 - 0.8 * depth + 0.2 * inside[:, 2], 0.12, 1.0)
-    )
+    openness = np.clip(0.95 - 0.8 * depth + 0.2 * inside[:, 2], 0.12, 1.0)
+    return _foliage(rng, place, size, leaf(rng), distance_m, openness)
 
 
 def _foliage(
-    rng: np.random.Generator,
-    place: Float,
-    size: float,
-    material: Material,
-    distance_m: float,
-    openness: Float | float = 1.0,
+    rng: np.random.Generator, place: Float, size: float, material: Material, sight_m: float, openness: Float | float = 1
 ) -> Part:
-    """Return leaves at positions (N, 3), with random changes of size and shade."""
-    corners = 4 if distance_m < _NEAR_M else 3
+    """Return leaves at positions (N, 3), seen from `sight_m` metres, with random changes of size and shade."""
+    corners = 4 if sight_m < _NEAR_M else 3
     mesh: Mesh = leaves(place, size * rng.uniform(0.7, 1.3, len(place)), rng, corners=corners)
     shade = openness * rng.uniform(0.45, 1.05, len(place))
     return Part(mesh, material, kind=Class.FOLIAGE, openness=np.repeat(shade, corners - 2))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 Triple = tuple[float, float, float]
 
@@ -31,10 +31,6 @@ class Lamp:
     sharpness: float = 1.0
     clear_m: float = 0.1
     daylight: bool = False
-
-    def times(self, factor: float) -> Lamp:
-        """Return the lamp with `factor` times the light."""
-        return replace(self, colour=triple(factor * share for share in self.colour))
 
 
 @dataclass(frozen=True)

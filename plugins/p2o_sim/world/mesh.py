@@ -70,11 +70,6 @@ def rectangle(length: float, width: float, z: float, *, x: float = 0.0, y: float
     return np.column_stack([corners + np.array([x, y]), np.full(4, z)])
 
 
-def box(length: float, width: float, low: float, high: float) -> Mesh:
-    """Return a box centred on the z axis from height `low` to `high`."""
-    return loft([rectangle(length, width, low), rectangle(length, width, high)])
-
-
 def boxes(low: ArrayLike, high: ArrayLike) -> Mesh:
     """Return axis-parallel boxes between corners `low` and `high` (N, 3)."""
     lower, upper = np.atleast_2d(np.asarray(low, np.float64)), np.atleast_2d(np.asarray(high, np.float64))

@@ -22,6 +22,8 @@ def write(frames: Iterable[Frame], root: Path) -> Iterator[str]:
     motion-compensated sweep is written raw, with the velocity with which the reader compensates it. The layout cannot
     store masked pixels.
     """
+    import yaml
+
     for frame in frames:
         name = re.sub(r"[^A-Za-z0-9._-]+", "_", frame.name).strip("._") or "frame"
         folder, image, camera = root / name, frame.image, frame.camera
@@ -54,7 +56,7 @@ def write(frames: Iterable[Frame], root: Path) -> Iterator[str]:
         if frame.cloud.twist is not None:
             entry["twist"] = frame.cloud.twist.tolist()
         # Written last, so that the reader ignores the folder of an interrupted frame.
-        write_file(folder / "frame.yaml", _yaml(entry))
+        write_file(folder / "frame.yaml", yaml.safe_dump(entry, sort_keys=False, default_flow_style=None, width=120))
         yield name
 
 
@@ -82,10 +84,3 @@ def _npz(cloud: Cloud) -> bytes:
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)
     return buffer.getvalue()
-
-
-def _yaml(entry: dict[str, Any]) -> str:
-    import yaml
-
-    text: str = yaml.safe_dump(entry, sort_keys=False, default_flow_style=None, width=120)
-    return text

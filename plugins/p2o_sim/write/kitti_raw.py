@@ -32,18 +32,16 @@ def write(frames: Iterable[Frame], root: Path) -> Iterator[str]:
     without 32 to 64 rings, or a moving LiDAR that does not rotate clockwise.
     """
     day, drive, number = -1, 0, 0
-    calibration, prefix = "", ""
+    calibration: dict[str, str] = {}
+    prefix = ""
     for frame in frames:
-        require(
-            "kitti-raw",
-            frame,
-            {
-                "a pinhole camera": frame.camera.is_pinhole,
-                "the ground truth of the extrinsic": frame.camera_from_lidar,
-                "a ring for every point": frame.cloud.ring,
-            },
-        )
-        own, place = _cam_to_cam(frame) + _velo_to_cam(frame), frame.name.rpartition("/")[0]
+        pinhole, truth, ring = frame.camera.is_pinhole, frame.camera_from_lidar, frame.cloud.ring
+        data = {"a pinhole camera": pinhole, "the ground truth of the extrinsic": truth, "a ring for every point": ring}
+        require("kitti-raw", frame, data)
+        # The inertial unit is at the LiDAR.
+        poses = {"velo_to_cam": np.asarray(frame.camera_from_lidar), "imu_to_velo": np.eye(4)}
+        own = {"cam_to_cam": _cam_to_cam(frame)} | {name: _rigid(pose) for name, pose in poses.items()}
+        place = frame.name.rpartition("/")[0]
         if own != calibration:
             day, drive, number = day + 1, 0, 0
         elif place != prefix:
@@ -51,18 +49,12 @@ def write(frames: Iterable[Frame], root: Path) -> Iterator[str]:
         start = _FIRST_DAY + timedelta(days=day)
         date = start.strftime("%Y_%m_%d")
         if own != calibration:
-            _write_calibration(root / date, frame)
+            for name, text in own.items():
+                write_file(root / date / f"calib_{name}.txt", text)
         calibration, prefix = own, place
         _write_frame(root / date / f"{date}_drive_{drive + 1:04d}_sync", frame, number, start)
         yield f"{date}/{drive + 1:04d}/{number:010d}"
         number += 1
-
-
-def _write_calibration(day: Path, frame: Frame) -> None:
-    write_file(day / "calib_cam_to_cam.txt", _cam_to_cam(frame))
-    write_file(day / "calib_velo_to_cam.txt", _velo_to_cam(frame))
-    # The inertial unit is at the LiDAR.
-    write_file(day / "calib_imu_to_velo.txt", _rigid(np.eye(4)))
 
 
 def _write_frame(folder: Path, frame: Frame, number: int, start: datetime) -> None:
@@ -101,10 +93,6 @@ def _cam_to_cam(frame: Frame) -> str:
 def image_baseline(image: Image) -> float:
     """Return the distance in metres between left and right camera; a nominal one without a right image."""
     return _BASELINE_M if image.baseline_m is None else image.baseline_m
-
-
-def _velo_to_cam(frame: Frame) -> str:
-    return _rigid(np.asarray(frame.camera_from_lidar))
 
 
 def _rigid(transform: Float) -> str:

@@ -7,7 +7,9 @@ from functools import cache
 import numpy as np
 import pytest
 from p2o import SIDES, Camera, UnknownNameError, occlusion, se3
-from p2o_sim import DIFFICULT, INDOORS, PLACES, Class, RenderedImage, labels, place_of, render, scene_of
+from p2o_sim.places.catalog import DIFFICULT, INDOORS, PLACES, place_of, scene_of
+from p2o_sim.sensing.rendering import RenderedImage, labels, render
+from p2o_sim.world.scene import Class
 
 USUAL = [place for place in PLACES if place not in DIFFICULT]
 CAMERA = Camera.pinhole(360.0, 360.0, 310.0, 93.0, 621, 188)

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from p2o import Camera, InputError, se3
-from p2o_sim import LIDARS
 from p2o_sim.sensing.depth_lidar import depth_sweep
+from p2o_sim.sensing.sensors import LIDARS
 
 from tests.p2o_sim.flat_scene import BOARD, BOARD_M, CAMERA, ROAD_M, WALL_M, depth_m
 

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from p2o import InputError
-from p2o_sim import LIDARS, Lidar, Rosette
+from p2o_sim.sensing.lidar import Lidar, Rosette
+from p2o_sim.sensing.sensors import LIDARS
 
 TURNING = [slug for slug, lidar in LIDARS.items() if isinstance(lidar, Lidar)]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from p2o_sim import Photo, develop, metered_gain
+from p2o_sim.sensing.photo import Photo, develop, metered_gain
 
 RAMP = np.repeat(np.linspace(0.0, 1.0, 64, dtype=np.float32)[None, :, None], 32, axis=0).repeat(3, axis=2)
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from p2o import Camera
-from p2o_sim import Class, Material, Mover, Part, Scene, render
-from p2o_sim.world.mesh import box
+from p2o_sim.sensing.rendering import render
+from p2o_sim.world.scene import Class, Material, Mover, Part, Scene
 
-from tests.p2o_sim.walls import BOX_X, FLOOR_Z, GREY, WALL_X, WORLD_FROM_CAMERA, down_axis, walls
+from tests.p2o_sim.walls import BOX_X, FLOOR_Z, GREY, WALL_X, WORLD_FROM_CAMERA, box, down_axis, walls
 
 PINHOLE = Camera.pinhole(120.0, 120.0, 80.0, 50.0, 161, 101)
 DISTORTED = Camera("OPENCV", 161, 101, (120.0, 121.0, 80.0, 50.0, -0.2, 0.05, 0.001, -0.001))

@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from p2o import InputError, se3
 from p2o.geometry.motion import moved, pose_at
-from p2o_sim import LIDARS, Lidar, Material, Mover, Part, Rosette, Scene, sweep
-from p2o_sim.world.mesh import box
+from p2o_sim.sensing.lidar import Lidar, Rosette
+from p2o_sim.sensing.scanning import sweep
+from p2o_sim.sensing.sensors import LIDARS
+from p2o_sim.world.scene import Material, Mover, Part, Scene
 
-from tests.p2o_sim.walls import FLOOR_Z, GREY, WALL_X, walls
+from tests.p2o_sim.walls import FLOOR_Z, GREY, WALL_X, box, walls
 
 ROSETTES = [slug for slug, lidar in LIDARS.items() if isinstance(lidar, Rosette)]
 EXACT = {"range_noise_m": 0.0, "divergence_mrad": 0.0}

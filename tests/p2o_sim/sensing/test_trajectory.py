@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from p2o import se3
-from p2o_sim import Swing, drive
-from p2o_sim.sensing.trajectory import LIDAR_HEIGHT_M, SWING_M
+from p2o_sim.sensing.trajectory import LIDAR_HEIGHT_M, SWING_M, drive
 
 TWIST = np.array([0.0, 0.0, 0.08, 12.0, 0.0, 0.0])
 
@@ -21,10 +20,12 @@ def test_without_sway_the_lidar_rides_above_the_arc_of_the_car() -> None:
     assert se3.angle_deg(last.world_from_lidar) == pytest.approx(np.degrees(angle))
 
 
-@pytest.mark.parametrize(("swing", "atol"), [(None, 1e-6), (Swing(turn_deg=30.0, tilt_deg=4.0), 0.02)])
-def test_the_twist_is_the_derivative_of_the_pose_in_the_frame_of_the_lidar(swing: Swing | None, atol: float) -> None:
+@pytest.mark.parametrize(("swing", "atol"), [({}, 1e-6), ({"swing_deg": 30.0, "tilt_deg": 4.0}, 0.02)])
+def test_the_twist_is_the_derivative_of_the_pose_in_the_frame_of_the_lidar(
+    swing: dict[str, float], atol: float
+) -> None:
     step = 1e-4
-    here, there = (drive(TWIST, 2, np.random.default_rng(1), period_s=p, swing=swing) for p in (1.0, 1.0 + step))
+    here, there = (drive(TWIST, 2, np.random.default_rng(1), period_s=p, **swing) for p in (1.0, 1.0 + step))
     # The same sway at both times, so only the time differs.
     moved = se3.inverse(here[1].world_from_lidar) @ there[1].world_from_lidar
     np.testing.assert_allclose(se3.log(moved) / step, here[1].twist, atol=atol)
@@ -37,11 +38,11 @@ def test_the_car_sways_a_little() -> None:
     assert max(angles) < 2.0
 
 
-SWING = Swing(turn_deg=30.0, tilt_deg=4.0)
+SWING = {"swing_deg": 30.0, "tilt_deg": 4.0}
 
 
 def test_a_swinging_car_turns_and_tilts_by_as_much_as_is_asked_and_keeps_to_its_road() -> None:
-    moments = drive(np.array([0.0, 0, 0, 5.0, 0, 0]), 400, np.random.default_rng(0), sway=0.0, swing=SWING)
+    moments = drive(np.array([0.0, 0, 0, 5.0, 0, 0]), 400, np.random.default_rng(0), sway=0.0, **SWING)
     forward, up = (np.array([m.world_from_lidar[:3, axis] for m in moments]) for axis in (0, 2))
     yaw = np.degrees(np.arctan2(forward[:, 1], forward[:, 0]))
     np.testing.assert_allclose([yaw.min(), yaw.max()], [-30.0, 30.0], atol=0.5)
@@ -54,6 +55,6 @@ def test_a_swinging_car_turns_and_tilts_by_as_much_as_is_asked_and_keeps_to_its_
 
 
 def test_a_swinging_car_points_where_it_goes() -> None:
-    moments = drive(np.array([0.0, 0, 0, 5.0, 0, 0]), 20, np.random.default_rng(1), sway=0.0, swing=Swing(30.0))
+    moments = drive(np.array([0.0, 0, 0, 5.0, 0, 0]), 20, np.random.default_rng(1), sway=0.0, swing_deg=30.0)
     for moment in moments:
         assert np.abs(moment.twist[4:]).max() < 1e-3 * moment.twist[3]

@@ -7,28 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from p2o import Camera, UnknownNameError, se3
-from p2o_sim import (
-    LIDARS,
-    WEATHERS,
-    Air,
-    Class,
-    Lighting,
-    Material,
-    Part,
-    Scene,
-    Weather,
-    headlights,
-    in_weather,
-    lit_near,
-    rained_on,
-    render,
-    scene_of,
-    sweep,
-    weather_of,
-)
-from p2o_sim.world.mesh import box
+from p2o_sim.places.catalog import scene_of
+from p2o_sim.sensing.lidar import Air
+from p2o_sim.sensing.rendering import render
+from p2o_sim.sensing.scanning import sweep
+from p2o_sim.sensing.sensors import LIDARS
+from p2o_sim.sensing.weather import WEATHERS, Weather, headlights, in_weather, lit_near, rained_on, weather_of
+from p2o_sim.world.lighting import Lighting
+from p2o_sim.world.scene import Class, Material, Part, Scene
 
-from tests.p2o_sim.walls import FLOOR_Z, GREY, WALL_X, WORLD_FROM_CAMERA, down_axis, walls
+from tests.p2o_sim.walls import FLOOR_Z, GREY, WALL_X, WORLD_FROM_CAMERA, box, down_axis, walls
 
 CAMERA = Camera.pinhole(120.0, 120.0, 80.0, 50.0, 161, 101)
 BLACK = Material("black", (0.0, 0.0, 0.0), contrast=0.0, reflectance=0.1)

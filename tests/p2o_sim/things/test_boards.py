@@ -8,25 +8,16 @@ import numpy as np
 import pytest
 from p2o import Camera, InputError, se3
 from p2o.frames.frame import Checkerboard, HoleBoard
-from p2o_sim import (
-    CHECKERBOARDS,
-    LIDARS,
-    Board,
-    Class,
-    Part,
-    Rig,
-    Scene,
-    boards_in_view,
-    render,
-    scene_of,
-    sweep,
-    target_of,
-    thing_of,
-)
+from p2o_sim.places.catalog import scene_of
+from p2o_sim.sensing.rendering import render
+from p2o_sim.sensing.scanning import sweep
+from p2o_sim.sensing.sensors import LIDARS
 from p2o_sim.things.board_holders import holder_of
-from p2o_sim.world.mesh import box
+from p2o_sim.things.board_places import Rig, boards_in_view
+from p2o_sim.things.boards import TARGETS, Board, thing_of
+from p2o_sim.world.scene import Class, Part, Scene
 
-from tests.p2o_sim.walls import FORWARD, GREY, ON_A_CAR, before_a_wall, in_frame, volume
+from tests.p2o_sim.walls import FORWARD, GREY, ON_A_CAR, before_a_wall, box, in_frame, volume
 
 CAMERA = Camera.pinhole(360.0, 360.0, 310.0, 130.0, 621, 260)
 WORLD_FROM_CAMERA, WORLD_FROM_LIDAR = ON_A_CAR
@@ -41,7 +32,7 @@ def tilted(target: Checkerboard | HoleBoard, *, x: float = 4.0, y: float = 0.6) 
 @cache
 def swept(kind: str) -> tuple[Board, np.ndarray, np.ndarray]:
     """Return a board with the points of an OS1-128 in its frame, without noise across the beams, and intensities."""
-    board = tilted(target_of(kind, "a0"))
+    board = tilted(TARGETS[kind]["a0"])
     cloud = sweep(before_a_wall(board), LIDARS["os1-128"], WORLD_FROM_LIDAR, np.random.default_rng(0))
     return board, in_frame(board, cloud.xyz), cloud.intensity
 
@@ -136,7 +127,7 @@ def test_beams_go_through_the_holes_and_nowhere_else() -> None:
 
 
 def test_the_camera_sees_the_background_through_the_holes() -> None:
-    board = tilted(target_of("holes", "a0"), x=3.0)
+    board = tilted(TARGETS["holes"]["a0"], x=3.0)
     rendered = render(before_a_wall(board), CAMERA, WORLD_FROM_CAMERA)
     camera_from_board = se3.inverse(WORLD_FROM_CAMERA) @ board.world_from_board
     for centre, inside in ((board.target.centres, False), (np.array([[0.0, 0.0, 0.0]]), True)):
@@ -146,23 +137,12 @@ def test_the_camera_sees_the_background_through_the_holes() -> None:
         assert ((rendered.depth_m[v, u] > 5.0) != inside).all()
 
 
-def test_a_named_size_is_changed_by_what_is_given() -> None:
-    assert target_of("checkerboard", "a1") == CHECKERBOARDS["a1"]
-    fitted = target_of("checkerboard", "a0", columns=6, rows=5, square_m=0.1)
-    assert (fitted.columns, fitted.rows, fitted.square_m) == (6, 5, 0.1)
-    # Seven squares and half of one on either side.
-    assert (fitted.width_m, fitted.height_m) == (pytest.approx(0.8), pytest.approx(0.7))
-    assert target_of("holes", "a0", hole_radius_m=0.1, board_width_m=1.5).width_m == 1.5
-    with pytest.raises(InputError, match="smaller than its pattern"):
-        target_of("checkerboard", "a0", square_m=0.2, board_width_m=1.0)
-
-
 @cache
 def series(holder: str, kind: str) -> tuple[Scene, Rig, tuple[Board, ...]]:
     """Return a yard and the boards of ten frames in it, one each."""
     scene, _ = scene_of("yard", np.random.default_rng(2))
     rig = Rig(CAMERA, WORLD_FROM_CAMERA, WORLD_FROM_LIDAR)
-    targets = (target_of(kind, "a0"),)
+    targets = (TARGETS[kind]["a0"],)
     found = [boards_in_view(scene, rig, targets, holder, number=n, seed=(0, 1)) for n in range(10)]
     return scene, rig, tuple(boards[0] for boards, _ in found)
 
@@ -196,7 +176,7 @@ def test_ten_boards_are_near_and_far_left_and_right_turned_and_tilted() -> None:
 
 def test_a_scene_with_more_things_keeps_what_it_has() -> None:
     scene, _ = scene_of("yard", np.random.default_rng(2))
-    board = tilted(target_of("checkerboard", "a1"))
+    board = tilted(TARGETS["checkerboard"]["a1"])
     more = scene.plus([thing_of(board)])
     assert more.parts == scene.parts
     plain, changed = (render(s, CAMERA, WORLD_FROM_CAMERA) for s in (scene, more))
@@ -211,4 +191,4 @@ def test_a_board_that_finds_no_room_is_refused() -> None:
     narrow = Scene((wall, Part(box(80.0, 80.0, -1.0, 0.0), GREY, 1, Class.ROAD)))
     rig = Rig(CAMERA, WORLD_FROM_CAMERA, WORLD_FROM_LIDAR)
     with pytest.raises(InputError, match="no free space"):
-        boards_in_view(narrow, rig, (CHECKERBOARDS["a0"],), "stand", number=0, seed=(0,))
+        boards_in_view(narrow, rig, (TARGETS["checkerboard"]["a0"],), "stand", number=0, seed=(0,))

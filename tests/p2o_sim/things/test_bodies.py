@@ -7,19 +7,14 @@ from functools import cache
 import numpy as np
 import pytest
 from p2o import Box, Camera, Cloud, InputError, Sphere, se3
-from p2o_sim import (
-    LIDARS,
-    Board,
-    Class,
-    Rig,
-    boards_in_view,
-    render,
-    scene_of,
-    sweep,
-    target_of,
-    thing_of,
-)
+from p2o_sim.places.catalog import scene_of
+from p2o_sim.sensing.rendering import render
+from p2o_sim.sensing.scanning import sweep
+from p2o_sim.sensing.sensors import LIDARS
+from p2o_sim.things.board_places import Rig, boards_in_view
+from p2o_sim.things.boards import TARGETS, Board, thing_of
 from p2o_sim.things.bodies import TONES
+from p2o_sim.world.scene import Class
 
 from tests.p2o_sim.walls import FORWARD, ON_A_CAR, before_a_wall, in_frame, volume
 
@@ -108,7 +103,7 @@ def test_a_box_has_one_colour_in_three_tones_and_bodies_of_a_frame_have_colours_
 def test_nothing_hides_a_body_and_a_box_shows_three_faces_to_both_sensors(kind: str) -> None:
     scene, _ = scene_of("yard", np.random.default_rng(2))
     rig = Rig(CAMERA, WORLD_FROM_CAMERA, WORLD_FROM_LIDAR)
-    targets = (target_of(kind, "a1"),) * 2
+    targets = (TARGETS[kind]["a1"],) * 2
     for number in range(4):
         boards, things = boards_in_view(scene, rig, targets, "person", number=number, seed=(0, 1))
         full = scene.plus(things)
@@ -125,9 +120,7 @@ def test_nothing_hides_a_body_and_a_box_shows_three_faces_to_both_sensors(kind: 
                     assert (np.abs(local) > board.target.size_m / 2).all()
 
 
-def test_bodies_have_sizes() -> None:
-    assert target_of("sphere", "a0", sphere_radius_m=0.5) == Sphere(0.5)
-    assert target_of("box", "a0", box_size_m=(1.0, 2.0, 3.0)) == Box(1.0, 2.0, 3.0)
+def test_bodies_have_positive_sizes() -> None:
     for size in (0.0, -1.0, np.nan, np.inf):
         with pytest.raises(InputError, match="size of the sphere is not positive"):
             Sphere(size)

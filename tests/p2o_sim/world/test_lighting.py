@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from p2o import Camera
-from p2o_sim import Inside, Lamp, Lighting, Material, Part, Scene, render
-from p2o_sim.world.mesh import box
+from p2o_sim.sensing.rendering import render
+from p2o_sim.world.lighting import Inside, Lamp, Lighting
+from p2o_sim.world.scene import Material, Part, Scene
 
-from tests.p2o_sim.walls import down_axis
+from tests.p2o_sim.walls import box, down_axis
 
 CAMERA = Camera.pinhole(50.0, 50.0, 50.0, 50.0, 101, 101)
 """From 10 m above it shows 20 x 20 m, 0.2 m a pixel."""

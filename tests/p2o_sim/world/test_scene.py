@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from p2o import InputError, se3
 from p2o.geometry.motion import pose_at
-from p2o_sim import Material, Mesh, Mover, Part, Scene
-from p2o_sim.world.mesh import box, boxes, circle, cylinder, join, loft, tubes, wheel
+from p2o_sim.world.mesh import Mesh, boxes, circle, cylinder, join, loft, tubes, wheel
+from p2o_sim.world.scene import Material, Mover, Part, Scene
 
-from tests.p2o_sim.walls import volume
+from tests.p2o_sim.walls import box, volume
 
 GREY = Material("grey", (0.5, 0.5, 0.5))
 

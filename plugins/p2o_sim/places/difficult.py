@@ -1,4 +1,4 @@
-"""Repeated structures, on which several poses fit nearly equally well: facades, fences, rows of parked cars."""
+"""Roads on which a calibration may have no right result: repeated structures, nothing at all, or traffic alone."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from p2o_sim.things.buildings import town_house
 from p2o_sim.things.furniture import fence, lamp
 from p2o_sim.things.ground import dashes, stations, strips
-from p2o_sim.things.vehicles import car, van
+from p2o_sim.things.vehicles import car, traffic, van
 from p2o_sim.world.palette import ASPHALT
 from p2o_sim.world.place import BEHIND_M, Layout, Plan, Thing, backdrop, on_side, placed
 from p2o_sim.world.scene import Class
@@ -15,8 +15,8 @@ from p2o_sim.world.scene import Class
 _BAY_M = 2.6
 
 
-def layout(plan: Plan) -> Layout:
-    """Return a straight road between two rows of equal things at equal distances, of one kind."""
+def repeated(plan: Plan) -> Layout:
+    """Return a straight road between rows of equal houses, fences or parked cars, on which several poses fit."""
     rng = plan.rng
     things: list[Thing] = [[*open_ground(plan)], *backdrop(plan)]
     end, offset = plan.travel_m + 80.0, rng.uniform(5.5, 8.0)
@@ -40,3 +40,18 @@ def open_ground(plan: Plan) -> Thing:
     x = stations(BEHIND_M, plan.far_m)
     ground = strips([(100.0, 0.0), (-100.0, 0.0)], [(ASPHALT, Class.ROAD)], x)
     return [*ground, dashes(BEHIND_M, plan.far_m, 1.75)]
+
+
+def empty(plan: Plan) -> Layout:
+    """Return a road to the horizon, with distant woods around."""
+    return Layout([open_ground(plan), *backdrop(plan)], [], [], (0.0, 0.0))
+
+
+def traffic_alone(plan: Plan) -> Layout:
+    """Return the road with traffic on four lanes; nothing else is above the ground."""
+    bare, far = empty(plan), plan.travel_m + 90.0
+    oncoming = [
+        thing for y in (3.5, 7.0) for thing in traffic(plan, 0.2, y, 10.0, far + 80.0, (9.0, 25.0), yaw_deg=180.0)
+    ]
+    ahead = traffic(plan, 0.2, 0.0, 14.0, far, (14.0, 30.0)) + traffic(plan, 0.2, -3.5, 7.0, far, (9.0, 25.0))
+    return Layout(bare.things, oncoming, ahead, bare.curvature)
