@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from p2o import Registry, Trainer
 from p2o.cli import main
-from p2o.errors import PluginError
+from p2o.errors import PluginError, Terminated
 from p2o_train.cli.progress import Shown
 
 pytestmark = pytest.mark.usefixtures("plain_environment", "one_torch_thread")
@@ -84,7 +84,7 @@ def test_it_ends_with_the_weights_and_the_command_that_uses_them(
 
 
 def interrupted(self: Shown, progress: Any) -> None:
-    raise KeyboardInterrupt
+    raise Terminated  # as Ctrl-C does
 
 
 def test_a_folder_of_a_training_on_other_data_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
