@@ -119,12 +119,12 @@ def sample() -> str:
     table = html.table(columns, rows, name="rows", search=True, filters=["state"], tiles="state", opens=opens)
     series = [
         Series("line", [1, 2, 3], [1.0, None, 3.0], "line", low=[0.5, None, 2], high=[2, None, 4]),
-        Series("points", [1, 2], [0.0, 100.0], opens=[5, 6]),
+        Series("points", [1, 2], [0.0, 100.0]),
     ]
     boxes = Series("box", [[1.0, 2.0, 3.0, 4.0, 5.0]], [0], "box")
     bars = [Series(name, [1, 2], [3.0, 4.0], "bars") for name in ("low", "high")]
     panels = [
-        Panel(Axis("x"), Axis("y", log=True), series, opens="rows"),
+        Panel(Axis("x"), Axis("y", log=True), series),
         Panel(Axis("x", log=True), Axis(names=["a" * 90]), [boxes]),
         Panel(Axis("x"), Axis("y", zero=True), bars),
         Panel(Axis("x", time=True, low=0, high=1e6), Axis("y"), [Series("none", [], [])]),
@@ -218,13 +218,10 @@ def test_rows_are_saved_as_csv_without_formulas(page: Page) -> None:
     assert lines[2].startswith('"\'=1+1","0.01","0","4","good"')
 
 
-def test_plots_draw_all_kinds_open_rows_and_hide_series(page: Page) -> None:
+def test_plots_draw_all_kinds_and_hide_series(page: Page) -> None:
     page.until_equal(lambda: page.count(".plot svg"), 4)
     assert page.count(".plot .point") == 2 + 1 + 1 + 4, "zero is not on a logarithmic axis, one value is unknown"
     page.until(lambda: "no values" in page.texts(".plot text"))
-    page.run("document.querySelector('.plot .live').dispatchEvent(new MouseEvent('click'))")
-    page.until_equal(lambda: page.text("#detail-title"), "row 6")
-    page.click("#close")
     page.click(".legend button")
     page.until_equal(lambda: page.count(".plot .point"), 6)
 

@@ -80,14 +80,15 @@ class PageServer(ABC):
         with _silent():
             self._viser.stop()
 
-    def serve(self, browser: bool) -> None:
-        """Wait until `done` is set or Ctrl-C is pressed; `browser` opens the page in the user's browser, if any."""
+    def serve(self, text: str, browser: bool) -> None:
+        """Print a text, wait until `done` is set or Ctrl-C is pressed; `browser` opens the page in the user's one."""
         import webbrowser
 
-        if browser:
-            with contextlib.suppress(webbrowser.Error, OSError):
-                webbrowser.open(self.url)
         with contextlib.suppress(KeyboardInterrupt):
+            print(text, flush=True)
+            if browser:
+                with contextlib.suppress(webbrowser.Error, OSError):
+                    webbrowser.open(self.url)
             while not self.done.wait(_POLL_S):
                 pass
 

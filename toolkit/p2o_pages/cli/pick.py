@@ -54,8 +54,7 @@ def command(
     indices = select(dataset.names, frames, where="--frames", skipped=dataset.skipped)
     session = PickSession(dataset, [dataset.names[index] for index in indices], indices, Path(out))
     with PickServer(session, port) as server:
-        click.echo(f"pick at {server.url} (done there, or Ctrl-C here, ends it)")
-        server.serve(browser=not no_browser)
+        server.serve(f"pick at {server.url} (done there, or Ctrl-C here, ends it)", browser=not no_browser)
     click.echo(f"{session.count} pairs of {len(session.names)} frames in {session.path}")
     if session.count:
         click.echo(f"next: p2o run --data {data} --calibrator picked --set calibrator.pairs={session.path}")

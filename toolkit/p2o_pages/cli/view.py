@@ -110,8 +110,7 @@ def command(
     names = [dataset.names[index] for index in indices]
     session = ViewSession(names, opener, partial(_calibrated, registry), out, registry=registry)
     with ViewServer(session, host, port) as server:
-        click.echo(f"view at {server.url} (Ctrl-C here ends it)")
-        server.serve(browser=not no_browser)
+        server.serve(f"view at {server.url} (Ctrl-C here ends it)", browser=not no_browser)
     if session.written is not None:
         path = printable(str(session.written))
         click.echo(f"{path} holds the pose; next: p2o run --data {printable(data)} --start {path}")
