@@ -81,7 +81,7 @@ class PageServer(ABC):
             self._viser.stop()
 
     def serve(self, text: str, browser: bool) -> None:
-        """Print a text, wait until `done` is set or Ctrl-C is pressed; `browser` opens the page in the user's one."""
+        """Print a text and wait for `done` or Ctrl-C; `browser` opens the page in the browser of the user, if any."""
         import webbrowser
 
         with contextlib.suppress(KeyboardInterrupt):
