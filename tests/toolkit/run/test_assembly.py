@@ -138,23 +138,23 @@ def test_a_resolved_recipe_with_a_witness_resolves_again_and_stages_with_edges_n
     assert tuple(plan.assembly().stages) == ("extractor", "cloud")
 
 
-@pytest.mark.parametrize("shift_deg", [0.0, 1.0])
-def test_edges_of_another_package_are_checked_by_the_default_ones(shift_deg: float) -> None:
-    """A shift of all edges of the image moves the pose, and its own edges agree there."""
-    ours = Registry.load().find(Kind.IMAGE_EXTRACTOR, "p2ornet").method
+@pytest.mark.parametrize("turn_deg", [0.0, 1.0])
+def test_edges_of_another_package_are_checked_by_the_default_ones(turn_deg: float) -> None:
+    """A turn of all edges of the LiDAR turns the pose, and its own edges agree there: they alone would be trusted."""
+    ours = Registry.load().find(Kind.CLOUD_EXTRACTOR, "rings").method
+    turn = p2o.se3.exp(np.radians([0, 0, turn_deg, 0, 0, 0]))
 
     def build(options: Any) -> Any:
         extract = ours.build(options)
 
-        def shifted(image: p2o.Image) -> p2o.ImageFeatures:
-            edges = extract(image).edges
-            uv = edges.uv + [np.tan(np.radians(shift_deg)) * image.camera.focal_px, 0]
-            inside = (uv >= 0).all(axis=1) & (uv <= np.array([image.camera.width, image.camera.height]) - 1).all(axis=1)
-            return p2o.ImageFeatures(p2o.ImageEdges(uv[inside], edges.side[inside], edges.weight[inside]))
+        def turned(cloud: p2o.Cloud) -> p2o.CloudFeatures:
+            return extract(cloud).moved(turn)
 
-        return shifted
+        return turned
 
-    registry = registry_with((Kind.IMAGE_EXTRACTOR, replace(ours, name="shifted", build=build)))
-    run = p2o.calibrate("example:", extractor="shifted/rings", perturb="1deg 0.05m", registry=registry)
-    assert run.result.verdict.trusted == (shift_deg == 0)
-    assert run.rows[0].error.rotation_deg == pytest.approx(shift_deg, abs=0.3)
+    registry = registry_with((Kind.CLOUD_EXTRACTOR, replace(ours, name="turned", build=build)))
+    words = {"extractor": "p2ornet/turned", "perturb": "1deg 0.05m", "registry": registry}
+    run = p2o.calibrate("example:", **words)
+    assert run.result.verdict.trusted == (turn_deg == 0)
+    assert run.rows[0].error.rotation_deg == pytest.approx(turn_deg, abs=0.3)
+    assert p2o.calibrate("example:", **words, witness="none").result.verdict.trusted
